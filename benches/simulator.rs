@@ -28,7 +28,11 @@ fn kernel(criterion: &mut Criterion) {
         for (scene, substeps) in [("flowing", 50), ("at rest", 5000)] {
             group.bench_function(format!("{particles} grains {scene}"), |bencher| {
                 let column = column_after(particles, substeps);
-                bencher.iter_batched_ref(|| column.clone(), |column| column.advance(STRETCH), BatchSize::LargeInput);
+                bencher.iter_batched_ref(
+                    || column.clone(),
+                    |column| column.advance(STRETCH),
+                    BatchSize::LargeInput,
+                );
             });
         }
         // Any cost beyond 1/25 of a measurement above is the list's.
@@ -36,7 +40,11 @@ fn kernel(criterion: &mut Criterion) {
         group.bench_function(format!("{particles} grains, one substep and list"), |bencher| {
             let mut column = column_after(particles, 50);
             column.outdate();
-            bencher.iter_batched_ref(|| column.clone(), |column| column.advance(1), BatchSize::LargeInput);
+            bencher.iter_batched_ref(
+                || column.clone(),
+                |column| column.advance(1),
+                BatchSize::LargeInput,
+            );
         });
     }
     group.finish();
@@ -67,7 +75,9 @@ fn spoon(criterion: &mut Criterion) {
     }
     for shake_mm in [2.0, 8.0, 16.0] {
         group.bench_function(format!("shake {shake_mm} mm at 24 deg"), |bencher| {
-            bencher.iter(|| tilted.clone().step(black_box(Action { incline_change_deg: 0.0, shake_mm })));
+            bencher.iter(|| {
+                tilted.clone().step(black_box(Action { incline_change_deg: 0.0, shake_mm }))
+            });
         });
     }
     group.finish();

@@ -13,7 +13,10 @@ use std::time::Instant;
 fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let wanted = arguments.next().unwrap_or_else(|| "salt".to_owned());
-    let settings = Settings { seed: arguments.next().map_or(Ok(1), |text| text.parse())?, ..Settings::default() };
+    let settings = Settings {
+        seed: arguments.next().map_or(Ok(1), |text| text.parse())?,
+        ..Settings::default()
+    };
     for powder in PUBLISHED.iter().filter(|p| wanted == "all" || p.id == wanted) {
         let start = Instant::now();
         match search(powder, &settings) {
@@ -28,14 +31,24 @@ fn search(powder: &Published, settings: &Settings) -> Result<Calibration, Error>
     let heap_settings = HeapSettings::with_particles(settings.particles);
     let simulate = |set: &_, _readings, seed| {
         let pile = repose(set, &heap_settings, seed)?;
-        let (tip_deg, cone_deg, creep_deg_per_s) = (pile.tip_deg, pile.cone_deg, pile.creep_deg_per_s);
-        Ok::<_, flip_sim::repose::Refusal>(Heap { tip_deg, tip_sd_deg: None, cone_deg, creep_deg_per_s })
+        let (tip_deg, cone_deg, creep_deg_per_s) =
+            (pile.tip_deg, pile.cone_deg, pile.creep_deg_per_s);
+        Ok::<_, flip_sim::repose::Refusal>(Heap {
+            tip_deg,
+            tip_sd_deg: None,
+            cone_deg,
+            creep_deg_per_s,
+        })
     };
     calibrate(&powder.automated, settings, None, &[], simulate, |trial, progress| {
         let phase = if trial.phase == Phase::Search { "search" } else { "verify" };
         match &trial.outcome {
-            Outcome::Heap(heap) => eprintln!("{}: {phase} {:.2} deg", progress.message, heap.tip_deg),
-            Outcome::Refused(reason) => eprintln!("{}: {phase} refused, {reason}", progress.message),
+            Outcome::Heap(heap) => {
+                eprintln!("{}: {phase} {:.2} deg", progress.message, heap.tip_deg)
+            }
+            Outcome::Refused(reason) => {
+                eprintln!("{}: {phase} refused, {reason}", progress.message)
+            }
         }
         ControlFlow::Continue(())
     })

@@ -27,7 +27,9 @@ use flip_bench::hardware::arm::proto::{Description, Executed, Limits, Station};
 use flip_bench::hardware::waypoints::Stroke;
 use flip_core::domain::bench::PitchLimits;
 use flip_core::domain::motion::{MotionLimits, Move, TurnLimits};
-use franka::{CartesianPose, ControllerMode, MAX_CUTOFF_FREQUENCY, RealtimeConfig, RobotMode, motion_finished};
+use franka::{
+    CartesianPose, ControllerMode, MAX_CUTOFF_FREQUENCY, RealtimeConfig, RobotMode, motion_finished,
+};
 use std::error::Error;
 use std::time::Duration;
 
@@ -71,7 +73,9 @@ fn stands_at(address: &str, retracted: &Point) -> Result<(), Box<dyn Error>> {
     let pose = franka::Robot::new(address, RealtimeConfig::Ignore)?.read_once()?.O_T_EE;
     let away = (0..3).map(|k| (pose[12 + k] - retracted[k]).powi(2)).sum::<f64>().sqrt();
     if away > START[0] || pose[2].abs() > START[1] {
-        return Err("the spoon is not level at the first point of the way: bring it there by hand".into());
+        return Err(
+            "the spoon is not level at the first point of the way: bring it there by hand".into()
+        );
     }
     Ok(())
 }
@@ -127,7 +131,13 @@ struct Measured {
 }
 
 impl Robot for Fr3 {
-    fn carry_out(&mut self, asked: Asked, why: Why, brake: &Brake, desk: &Desk) -> Result<Executed, End> {
+    fn carry_out(
+        &mut self,
+        asked: Asked,
+        why: Why,
+        brake: &Brake,
+        desk: &Desk,
+    ) -> Result<Executed, End> {
         self.ready(why)?;
         let measured = match asked {
             Asked::Pitch(deg) => self.turn(deg, brake, desk)?,
@@ -154,9 +164,12 @@ impl Fr3 {
     /// Connects, and recovers from errors once a person has checked.
     fn ready(&mut self, why: Why) -> Result<(), End> {
         if self.robot.is_none() {
-            let robot = franka::Robot::new(&self.address, RealtimeConfig::Enforce).map_err(failed)?;
+            let robot =
+                franka::Robot::new(&self.address, RealtimeConfig::Enforce).map_err(failed)?;
             let (joints, spoon) = (JOINTS_NM, SPOON_N);
-            robot.set_collision_behavior(joints, joints, joints, joints, spoon, spoon, spoon, spoon).map_err(failed)?;
+            robot
+                .set_collision_behavior(joints, joints, joints, joints, spoon, spoon, spoon, spoon)
+                .map_err(failed)?;
             self.robot = Some(robot);
         }
         match (&self.robot, why) {
@@ -192,7 +205,13 @@ impl Fr3 {
     }
 
     /// Moves along the way to one of its ends, point by point.
-    fn travel(&mut self, to: usize, station: Station, brake: &Brake, desk: &Desk) -> Result<Measured, End> {
+    fn travel(
+        &mut self,
+        to: usize,
+        station: Station,
+        brake: &Brake,
+        desk: &Desk,
+    ) -> Result<Measured, End> {
         let mut whole = Measured::default();
         if desk.station() == station {
             return Ok(whole);
@@ -215,7 +234,13 @@ impl Fr3 {
         Ok(whole)
     }
 
-    fn straight(&mut self, to: usize, brake: &Brake, desk: &Desk, whole: &mut Measured) -> Result<(), End> {
+    fn straight(
+        &mut self,
+        to: usize,
+        brake: &Brake,
+        desk: &Desk,
+        whole: &mut Measured,
+    ) -> Result<(), End> {
         let robot = self.robot.as_ref().ok_or(End::Reflex)?;
         let here = robot.read_once().map_err(failed)?.O_T_EE_c;
         let way: Point = std::array::from_fn(|k| self.way[to][k] - here[12 + k]);
@@ -225,8 +250,10 @@ impl Fr3 {
         }
         let path = Move::new(length_m, MotionLimits::PAPER);
         let moved = |t: f64| way.map(|d| d * path.position_m(t) / length_m);
-        let done =
-            self.follow(path.duration_s(), brake, desk, |t| Offset { moved_m: moved(t), ..Offset::default() })?;
+        let done = self.follow(path.duration_s(), brake, desk, |t| Offset {
+            moved_m: moved(t),
+            ..Offset::default()
+        })?;
         whole.duration_s += done.duration_s;
         Ok(())
     }
@@ -262,16 +289,23 @@ impl Fr3 {
                 on_path_s += dt * rate;
                 measured.duration_s += dt;
                 let offset = path(on_path_s.min(duration_s));
-                let along = (0..3).map(|k| (state.O_T_EE[12 + k] - measured_start[12 + k]) * base[k]).sum::<f64>();
+                let along = (0..3)
+                    .map(|k| (state.O_T_EE[12 + k] - measured_start[12 + k]) * base[k])
+                    .sum::<f64>();
                 measured.furthest_m = measured.furthest_m.max(along);
                 let before = std::mem::replace(&mut lately[cycles % SPEED_CYCLES], along);
                 cycles += 1;
                 if cycles > SPEED_CYCLES {
-                    measured.top_m_s = measured.top_m_s.max((along - before).abs() / (1e-3 * SPEED_CYCLES as f64));
+                    measured.top_m_s =
+                        measured.top_m_s.max((along - before).abs() / (1e-3 * SPEED_CYCLES as f64));
                 }
                 desk.show(pitch_deg + offset.turned_deg, displacement_mm + offset.along_m * 1e3);
                 let command = CartesianPose::new(placed(&base, &offset));
-                if on_path_s >= duration_s || rate == 0.0 { motion_finished(command) } else { command }
+                if on_path_s >= duration_s || rate == 0.0 {
+                    motion_finished(command)
+                } else {
+                    command
+                }
             },
             ControllerMode::CartesianImpedance,
             true,
@@ -286,7 +320,11 @@ impl Fr3 {
 
     /// Why the robot ended a motion by itself.
     fn after(&self, error: franka::FrankaError) -> End {
-        let mode = self.robot.as_ref().and_then(|robot| robot.read_once().ok()).map(|state| state.robot_mode);
+        let mode = self
+            .robot
+            .as_ref()
+            .and_then(|robot| robot.read_once().ok())
+            .map(|state| state.robot_mode);
         match mode {
             Some(RobotMode::UserStopped) => End::UserStop,
             _ => failed(error),

@@ -11,7 +11,8 @@ use flip_sim::repose::{Settings, repose};
 
 fn main() {
     let arguments: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
-    let [friction, cohesion] = [arguments.first().copied().unwrap_or(0.5), arguments.get(1).copied().unwrap_or(0.0)];
+    let [friction, cohesion] =
+        [arguments.first().copied().unwrap_or(0.5), arguments.get(1).copied().unwrap_or(0.0)];
 
     // Nine published parameters; each acts by a law with a unit (`flip_sim::law`). Two of them
     // shape a heap most.
@@ -38,7 +39,10 @@ fn main() {
 /// A heap with its angle, or why it has none.
 fn say(what: &str, heap: Result<flip_sim::repose::Repose, flip_sim::repose::Refusal>) {
     match heap {
-        Ok(h) => println!("{what:<15} {:.1} deg at the apex, {:.1} deg along the flank", h.tip_deg, h.cone_deg),
+        Ok(h) => println!(
+            "{what:<15} {:.1} deg at the apex, {:.1} deg along the flank",
+            h.tip_deg, h.cone_deg
+        ),
         Err(refusal) => println!("{what:<15} {refusal}"),
     }
 }

@@ -55,7 +55,9 @@ async fn main() -> anyhow::Result<()> {
     }
     loop {
         let found = service.found().await?;
-        if !["queued", "running"].contains(&found["job"]["state"].as_str().context("a job has a state")?) {
+        if !["queued", "running"]
+            .contains(&found["job"]["state"].as_str().context("a job has a state")?)
+        {
             println!("the measurement has ended: {}", found["job"]["state"]);
             return Ok(());
         }
@@ -76,7 +78,9 @@ fn started() -> anyhow::Result<ActivePipeline> {
     let mut config = Config::new();
     config.enable_stream(Rs2StreamKind::Depth, None, width, height, Rs2Format::Z16, PER_SECOND)?;
     config.enable_stream(Rs2StreamKind::Color, None, width, height, Rs2Format::Rgb8, PER_SECOND)?;
-    InactivePipeline::try_from(&context)?.start(Some(config)).context("no camera with depth and colour of this size")
+    InactivePipeline::try_from(&context)?
+        .start(Some(config))
+        .context("no camera with depth and colour of this size")
 }
 
 /// One frame in the format of the service.
@@ -163,7 +167,8 @@ impl Service {
         let [depth, colour] = [&bytes.depth, &bytes.colour].map(|part| STANDARD.encode(part));
         let description: Value = serde_json::from_slice(&bytes.description)?;
         let body = json!({ "depth": depth, "colour": colour, "description": description });
-        let response = self.request(true, &format!("{}/frames", self.measurement)).json(&body).send().await?;
+        let response =
+            self.request(true, &format!("{}/frames", self.measurement)).json(&body).send().await?;
         match response.status() {
             // In a conflict the pile received all its frames in the meantime.
             StatusCode::ACCEPTED | StatusCode::CONFLICT => Ok(()),

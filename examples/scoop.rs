@@ -12,7 +12,8 @@ fn main() {
         .and_then(|set| set.with("cohesion", number(2, 0.0)))
         .expect("friction from 0 to 1.3 and cohesion from 0 to 1.2");
     let immersion_mm = number(0, Settings::default().immersion_mm);
-    let settings = Settings { immersion_mm, bed_depth_mm: immersion_mm + 3.0, ..Settings::default() };
+    let settings =
+        Settings { immersion_mm, bed_depth_mm: immersion_mm + 3.0, ..Settings::default() };
     for seed in 1..=2 {
         match scoop(&powder, &settings, seed, None) {
             Ok(scooped) => println!(

@@ -18,18 +18,26 @@ fn main() -> anyhow::Result<()> {
 
     // A powder that flows about as well as salt, in the spoon of a simulated bench.
     let powder = ParameterSet::default().with("friction", 0.8)?;
-    let mut bench = SimulatedBench::new(&powder, &dispense::Settings::default(), &balance::Settings::default(), seed);
+    let mut bench = SimulatedBench::new(
+        &powder,
+        &dispense::Settings::default(),
+        &balance::Settings::default(),
+        seed,
+    );
 
     // Gentle shakes at a slant. A learned policy is `Controller::Learned`, and nothing else
     // changes.
     let controller = Controller::Fixed(ScheduledStep { pitch_deg: 24.0, shake_mm: 8.0 });
-    let order = Order { target_mg, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
+    let order =
+        Order { target_mg, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
     // The listener gets each phase and decision before the motion that follows, and could veto it.
     let print = |event: &Event<'_>| {
         match event {
             Event::Phase(phase) => println!("{phase:?}"),
             Event::Pan(flaw) => println!("{flaw}"),
-            Event::Decision(decision) => decision.reason.iter().for_each(|reason| println!("    {reason}")),
+            Event::Decision(decision) => {
+                decision.reason.iter().for_each(|reason| println!("    {reason}"))
+            }
             Event::Tick(tick) => println!(
                 "{:>2}  {:5.1} s  pitch {:5.1} deg  shake {:4.1} mm  balance {:5.1} mg",
                 tick.step, tick.t_s, tick.pitch_deg, tick.action.shake_mm, tick.reading.mass_mg

@@ -15,7 +15,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// No LD_LIBRARY_PATH: the program finds libtorch next to itself (a container) or where it was
 /// fetched.
 fn link_libtorch(root: &std::path::Path) {
-    let libtorch = std::env::var("LIBTORCH").map(PathBuf::from).unwrap_or_else(|_| root.join(".libtorch"));
+    let libtorch =
+        std::env::var("LIBTORCH").map(PathBuf::from).unwrap_or_else(|_| root.join(".libtorch"));
     println!("cargo:rerun-if-env-changed=LIBTORCH");
     println!("cargo:rustc-link-arg=-Wl,-rpath,$ORIGIN/lib");
     println!("cargo:rustc-link-arg=-Wl,-rpath,{}", libtorch.join("lib").display());

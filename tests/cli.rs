@@ -1,6 +1,8 @@
 //! The command line as scripts see it: the real binary, its exit status, its single document.
 
-use flip_policy::{self as policy, Controller, Done, Gains, Kind, Manifest, Observation, Pid, Policy, Rules};
+use flip_policy::{
+    self as policy, Controller, Done, Gains, Kind, Manifest, Observation, Pid, Policy, Rules,
+};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -48,7 +50,8 @@ fn stderr(output: &Output) -> String {
 /// The single document on stdout; anything in addition to it does not parse.
 fn document(output: &Output) -> Value {
     let text = String::from_utf8(output.stdout.clone()).unwrap();
-    serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: stdout {text:?}, stderr {:?}", stderr(output)))
+    serde_json::from_str(&text)
+        .unwrap_or_else(|e| panic!("{e}: stdout {text:?}, stderr {:?}", stderr(output)))
 }
 
 fn expect_status(output: &Output, status: i32) {
@@ -62,7 +65,10 @@ fn help_lists_every_command_and_every_command_has_help() {
     expect_status(&help, 0);
     let text = String::from_utf8(help.stdout).unwrap();
     for name in COMMANDS {
-        assert!(text.lines().any(|line| line.trim_start().starts_with(name)), "{name} is missing in:\n{text}");
+        assert!(
+            text.lines().any(|line| line.trim_start().starts_with(name)),
+            "{name} is missing in:\n{text}"
+        );
         let help = flip(folder.path(), &[name, "--help"]);
         expect_status(&help, 0);
         let text = String::from_utf8(help.stdout).unwrap();
@@ -79,16 +85,25 @@ fn a_doctor_looks_and_changes_nothing() {
     let looked = flip(&data, &["doctor", "--listen", "127.0.0.1:0", "--json"]);
     expect_status(&looked, 0);
     let found = document(&looked);
-    let names: Vec<&str> = found.as_array().unwrap().iter().map(|it| it["what"].as_str().unwrap()).collect();
-    assert_eq!(names, ["processor", "memory", "clock", "descriptors", "disk", "data folder", "port"]);
+    let names: Vec<&str> =
+        found.as_array().unwrap().iter().map(|it| it["what"].as_str().unwrap()).collect();
+    assert_eq!(
+        names,
+        ["processor", "memory", "clock", "descriptors", "disk", "data folder", "port"]
+    );
     assert!(!data.exists());
     expect_status(&flip(&data, &["jobs"]), 0);
     std::fs::write(folder.path().join("bench.toml"), "[balance]\n").unwrap();
     let bench = folder.path().join("bench.toml");
-    let looked = flip(&data, &["doctor", "--listen", "127.0.0.1:0", "--bench", bench.to_str().unwrap(), "--json"]);
+    let looked = flip(
+        &data,
+        &["doctor", "--listen", "127.0.0.1:0", "--bench", bench.to_str().unwrap(), "--json"],
+    );
     expect_status(&looked, 1);
     let found = document(&looked);
-    let of = |what: &str| found.as_array().unwrap().iter().find(|it| it["what"] == what).unwrap()["verdict"].clone();
+    let of = |what: &str| {
+        found.as_array().unwrap().iter().find(|it| it["what"] == what).unwrap()["verdict"].clone()
+    };
     assert_eq!((of("database"), of("bench file")), (json!("ok"), json!("failed")));
 }
 
@@ -99,10 +114,16 @@ fn a_settings_file_stands_behind_the_command_line_and_a_mistake_in_it_begins_not
     let file_name = file.to_str().unwrap();
     let run = |text: &str, words: &[&str]| {
         std::fs::write(&file, text).unwrap();
-        Command::new(env!("CARGO_BIN_EXE_flip")).args(words).env("FLIP_SETTINGS", &file).output().unwrap()
+        Command::new(env!("CARGO_BIN_EXE_flip"))
+            .args(words)
+            .env("FLIP_SETTINGS", &file)
+            .output()
+            .unwrap()
     };
-    let settings =
-        format!("data_dir = {:?}\njson = true\n[repose]\nfriction = 0.3\ncohesion = 0\n", data.to_str().unwrap());
+    let settings = format!(
+        "data_dir = {:?}\njson = true\n[repose]\nfriction = 0.3\ncohesion = 0\n",
+        data.to_str().unwrap()
+    );
     let by_file = run(&settings, &["repose"]);
     expect_status(&by_file, 0);
     let typed = flip(&data, &["repose", "--friction", "0.3", "--cohesion", "0", "--json"]);
@@ -111,9 +132,16 @@ fn a_settings_file_stands_behind_the_command_line_and_a_mistake_in_it_begins_not
     assert_ne!(document(&over)["parameters"], document(&typed)["parameters"]);
     let wrong = run("[repose]\nfricton = 0.3\n", &["repose", "--json"]);
     expect_status(&wrong, 2);
-    assert!(document(&wrong).to_string().contains("did you mean `friction`"), "{}", document(&wrong));
+    assert!(
+        document(&wrong).to_string().contains("did you mean `friction`"),
+        "{}",
+        document(&wrong)
+    );
     let checked = run("[serve]\nlisten = \"127.0.0.1:9\"\n", &["config", "check", file_name]);
-    assert_eq!(String::from_utf8(checked.stdout).unwrap().trim(), "flip serve --listen 127.0.0.1:9");
+    assert_eq!(
+        String::from_utf8(checked.stdout).unwrap().trim(),
+        "flip serve --listen 127.0.0.1:9"
+    );
     let half = run(
         "[serve]\nlisten = \"127.0.0.1:0\"\ntls_cert = \"c.pem\"\n",
         &["serve", "--data-dir", data.to_str().unwrap()],
@@ -121,7 +149,17 @@ fn a_settings_file_stands_behind_the_command_line_and_a_mistake_in_it_begins_not
     expect_status(&half, 2);
     assert!(stderr(&half).contains("--tls-key"), "{}", stderr(&half));
     // The bench file of `flip bench check --config` is not the settings file.
-    let check = run("", &["bench", "check", "--config", "/no/such/bench.toml", "--data-dir", data.to_str().unwrap()]);
+    let check = run(
+        "",
+        &[
+            "bench",
+            "check",
+            "--config",
+            "/no/such/bench.toml",
+            "--data-dir",
+            data.to_str().unwrap(),
+        ],
+    );
     expect_status(&check, 2);
     assert!(
         stderr(&check).contains("/no/such/bench.toml") && !stderr(&check).contains("settings"),
@@ -150,7 +188,18 @@ fn shells_and_man_know_every_command() {
 #[test]
 fn repose_gives_the_same_bytes_twice_on_any_number_of_threads_and_on_every_path() {
     let folder = tempfile::tempdir().unwrap();
-    let arguments = ["repose", "--friction", "0.3", "--cohesion", "0", "--repeats", "3", "--seed", "1", "--json"];
+    let arguments = [
+        "repose",
+        "--friction",
+        "0.3",
+        "--cohesion",
+        "0",
+        "--repeats",
+        "3",
+        "--seed",
+        "1",
+        "--json",
+    ];
     let with = |name: &str, value: &str| {
         let output = command(folder.path(), &arguments).env(name, value).output().unwrap();
         expect_status(&output, 0);
@@ -174,7 +223,8 @@ fn repose_gives_the_same_bytes_twice_on_any_number_of_threads_and_on_every_path(
 fn a_heap_says_whose_semantics_poured_it() {
     let folder = tempfile::tempdir().unwrap();
     let heap = |flags: &[&str]| {
-        let arguments = [&["repose", "--particles", "300", "--seed", "1", "--json"], flags].concat();
+        let arguments =
+            [&["repose", "--particles", "300", "--seed", "1", "--json"], flags].concat();
         document(&flip(folder.path(), &arguments))
     };
     let (own, published) = (heap(&[]), heap(&["--compat", "physx"]));
@@ -187,10 +237,18 @@ fn a_heap_says_whose_semantics_poured_it() {
 #[test]
 fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
     let folder = tempfile::tempdir().unwrap();
-    let output = flip(folder.path(), &["validate", "--only", "free_fall", "--only", "incline_threshold", "--json"]);
+    let output = flip(
+        folder.path(),
+        &["validate", "--only", "free_fall", "--only", "incline_threshold", "--json"],
+    );
     expect_status(&output, 0);
     let document = document(&output);
-    let names: Vec<&str> = document["checks"].as_array().unwrap().iter().map(|c| c["name"].as_str().unwrap()).collect();
+    let names: Vec<&str> = document["checks"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| c["name"].as_str().unwrap())
+        .collect();
     assert_eq!(names, ["free_fall", "incline_threshold"]);
     for check in document["checks"].as_array().unwrap() {
         assert_eq!(check["passed"], true, "{check}");
@@ -201,7 +259,11 @@ fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
     }
     let unknown = flip(folder.path(), &["validate", "--only", "antigravity"]);
     expect_status(&unknown, 2);
-    assert!(stderr(&unknown).contains("only") && stderr(&unknown).contains("free_fall"), "{}", stderr(&unknown));
+    assert!(
+        stderr(&unknown).contains("only") && stderr(&unknown).contains("free_fall"),
+        "{}",
+        stderr(&unknown)
+    );
 }
 
 #[test]
@@ -219,7 +281,10 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["repose", "--compat", "flex"], "--compat"),
         (&["bench", "sim", "--windows", "0"], "windows: must be from 1 to 100"),
         (&["bench", "sim", "--sizes", "2000,99"], "sizes: must be from 100 to 200000"),
-        (&["bench", "bed", "--particles", "99", "bed.csv"], "particles: must be from 100 to 200000"),
+        (
+            &["bench", "bed", "--particles", "99", "bed.csv"],
+            "particles: must be from 100 to 200000",
+        ),
         (&["calibrate", "--powder", "chalk"], "powder"),
         (&["calibrate", "--powder", "salt", "--sets", "0"], "sets"),
         (&["calibrate", "--powder", "salt", "--tolerance-deg", "inf"], "tolerance_deg"),
@@ -230,22 +295,38 @@ fn bad_input_exits_2_and_names_the_field() {
         (&["measurements", "export", "--powder", "chalk"], "powder"),
         (&["train", "--order", "sideways"], "--order"),
         (&["train", "--episodes", "0"], "episodes"),
-        (&["train", "--order", "curriculum", "--episodes", "20", "--surrogate-episodes", "21"], "surrogate_episodes"),
+        (
+            &["train", "--order", "curriculum", "--episodes", "20", "--surrogate-episodes", "21"],
+            "surrogate_episodes",
+        ),
         (&["weigh", "--powder", "salt", "--target-mg", "-5"], "target_mg"),
         (&["weigh", "--powder", "chalk", "--target-mg", "5"], "powder"),
         (&["serve", "--listen", "0.0.0.0:0"], "listen: 0.0.0.0:0"),
         (&["policy", "show", "--policy", "p-0"], "policy: there is no policy"),
         (&["policy", "infer", "--file", "gone.safetensors", "--stdin"], "file: gone.safetensors"),
-        (&["discover", "--measurements", "nowhere.csv", "--out", "found"], "measurements: nowhere.csv cannot be read"),
+        (
+            &["discover", "--measurements", "nowhere.csv", "--out", "found"],
+            "measurements: nowhere.csv cannot be read",
+        ),
         (&["discover", "--measurements", "m.csv"], "--out"),
-        (&["discover", "--traces", "nowhere.csv", "--out", "found"], "traces: nowhere.csv cannot be read"),
+        (
+            &["discover", "--traces", "nowhere.csv", "--out", "found"],
+            "traces: nowhere.csv cannot be read",
+        ),
         (&["discover", "--out", "found"], "--measurements"),
-        (&["evaluate", "--extension", "rotation"], "extension: must be a name, an equals sign and a number"),
+        (
+            &["evaluate", "--extension", "rotation"],
+            "extension: must be a name, an equals sign and a number",
+        ),
     ];
     for (arguments, named) in cases {
         let output = flip(folder.path(), arguments);
         expect_status(&output, 2);
-        assert!(stderr(&output).contains(named), "{arguments:?} does not name {named}: {}", stderr(&output));
+        assert!(
+            stderr(&output).contains(named),
+            "{arguments:?} does not name {named}: {}",
+            stderr(&output)
+        );
         let output = flip(folder.path(), &[arguments, &["--json"]].concat());
         expect_status(&output, 2);
         assert_eq!(document(&output)["error"]["kind"], "bad_input", "{arguments:?}");
@@ -257,14 +338,20 @@ fn two_calibrations_are_compared_by_the_ids_that_jobs_lists() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path();
     for seed in ["1", "2"] {
-        let quick = ["--method", "sequential", "--sets", "2", "--tolerance-deg", "5", "--particles", "400"];
-        let arguments = [&["calibrate", "--powder", "sand", "--seed", seed, "--json"], &quick[..]].concat();
+        let quick =
+            ["--method", "sequential", "--sets", "2", "--tolerance-deg", "5", "--particles", "400"];
+        let arguments =
+            [&["calibrate", "--powder", "sand", "--seed", seed, "--json"], &quick[..]].concat();
         expect_status(&flip(data, &arguments), 0);
     }
     let jobs = document(&flip(data, &["jobs", "--json"]));
-    let ids: Vec<&str> = jobs["items"].as_array().unwrap().iter().map(|job| job["id"].as_str().unwrap()).collect();
+    let ids: Vec<&str> =
+        jobs["items"].as_array().unwrap().iter().map(|job| job["id"].as_str().unwrap()).collect();
     let compared = document(&flip(data, &["compare", ids[0], ids[1], "--json"]));
-    assert_eq!((&compared["calibration"]["id"], &compared["with"]["id"]), (&ids[0].into(), &ids[1].into()));
+    assert_eq!(
+        (&compared["calibration"]["id"], &compared["with"]["id"]),
+        (&ids[0].into(), &ids[1].into())
+    );
     assert_eq!(compared["with"]["parameters"].as_array().unwrap().len(), 9);
     let text = flip(data, &["compare", ids[0], ids[1]]);
     expect_status(&text, 0);
@@ -277,10 +364,20 @@ fn two_calibrations_are_compared_by_the_ids_that_jobs_lists() {
 fn several_seeds_are_several_trainings() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path();
-    let quick = ["--method", "sequential", "--sets", "2", "--tolerance-deg", "5", "--particles", "400"];
+    let quick =
+        ["--method", "sequential", "--sets", "2", "--tolerance-deg", "5", "--particles", "400"];
     expect_status(&flip(data, &[&["calibrate", "--powder", "sand"], &quick[..]].concat()), 0);
     let train = |seeds: &[&str]| {
-        let small = ["train", "--powders", "sand", "--episodes", "4", "--surrogate-episodes", "4", "--json"];
+        let small = [
+            "train",
+            "--powders",
+            "sand",
+            "--episodes",
+            "4",
+            "--surrogate-episodes",
+            "4",
+            "--json",
+        ];
         let output = flip(data, &[&small[..], seeds].concat());
         expect_status(&output, 0);
         document(&output)
@@ -300,9 +397,16 @@ fn measurements_come_from_a_file_and_go_back_into_one() {
     let import = ["measurements", "import", file.to_str().unwrap()];
     let unknown = flip(&data, &import);
     expect_status(&unknown, 2);
-    assert!(stderr(&unknown).contains("row[2].powder: there is no powder `flour`"), "{}", stderr(&unknown));
+    assert!(
+        stderr(&unknown).contains("row[2].powder: there is no powder `flour`"),
+        "{}",
+        stderr(&unknown)
+    );
     let imported = document(&flip(&data, &[&import[..], &["--create", "--json"]].concat()));
-    assert_eq!((&imported["powders"][0], &imported["measurements"][0]["n"]), (&"flour".into(), &2.into()));
+    assert_eq!(
+        (&imported["powders"][0], &imported["measurements"][0]["n"]),
+        (&"flour".into(), &2.into())
+    );
     let export = |data: &Path| {
         let output = flip(data, &["measurements", "export", "--powder", "flour"]);
         expect_status(&output, 0);
@@ -314,7 +418,13 @@ fn measurements_come_from_a_file_and_go_back_into_one() {
     expect_status(&flip(&other, &[&import[..], &["--create"]].concat()), 0);
     assert_eq!(export(&other), exported);
     let all = document(&flip(&data, &["measurements", "export", "--json"]));
-    assert_eq!((all["measurements"].as_array().unwrap().len(), all["observations"].as_array().unwrap().len()), (11, 1));
+    assert_eq!(
+        (
+            all["measurements"].as_array().unwrap().len(),
+            all["observations"].as_array().unwrap().len()
+        ),
+        (11, 1)
+    );
 }
 
 /// Twelve days, two runs each of three powders, which pile steeper on damper days.
@@ -336,20 +446,32 @@ fn discover_writes_the_same_files_on_any_number_of_threads() {
     let file = folder.path().join("m.csv");
     std::fs::write(&file, campaign()).unwrap();
     let with = |threads: &str| {
-        let (data, out) =
-            (folder.path().join(format!("data{threads}")), folder.path().join(format!("a/found{threads}")));
+        let (data, out) = (
+            folder.path().join(format!("data{threads}")),
+            folder.path().join(format!("a/found{threads}")),
+        );
         let (file, out_name) = (file.to_str().unwrap(), out.to_str().unwrap());
         let (budget, simulations) = (["--budget-runs", "40"], ["--simulations", "99"]);
-        let arguments =
-            [&["discover", "--measurements", file, "--out", out_name, "--json"][..], &budget, &simulations].concat();
+        let arguments = [
+            &["discover", "--measurements", file, "--out", out_name, "--json"][..],
+            &budget,
+            &simulations,
+        ]
+        .concat();
         let output = command(&data, &arguments).env("RAYON_NUM_THREADS", threads).output().unwrap();
         expect_status(&output, 0);
         let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
         let mut report = document(&output);
-        assert_eq!(report, serde_json::from_str::<Value>(&read("report.json")).unwrap(), "the document is the file");
+        assert_eq!(
+            report,
+            serde_json::from_str::<Value>(&read("report.json")).unwrap(),
+            "the document is the file"
+        );
         assert!(report["wall_s"].as_f64().unwrap() > 0.0);
         report.as_object_mut().unwrap().remove("wall_s");
-        let names = std::fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let names = std::fs::read_dir(&out)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap());
         assert_eq!(
             names.collect::<std::collections::BTreeSet<_>>(),
             ["predict.csv", "report.html", "report.json"].map(str::to_owned).into()
@@ -359,9 +481,15 @@ fn discover_writes_the_same_files_on_any_number_of_threads() {
     let (report, predicted) = with("1");
     assert_eq!((&report, &predicted), (&with("3").0, &with("3").1));
     let report: Value = serde_json::from_str(&report).unwrap();
-    assert!(report["p_value"].as_f64().unwrap() <= 0.02 && report["verdict"].is_string(), "{report}");
+    assert!(
+        report["p_value"].as_f64().unwrap() <= 0.02 && report["verdict"].is_string(),
+        "{report}"
+    );
     assert_eq!(report["causes"][0]["family"], "moisture");
-    assert_eq!(predicted.lines().next(), Some("row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg"));
+    assert_eq!(
+        predicted.lines().next(),
+        Some("row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg")
+    );
     assert_eq!(predicted.lines().count(), 73);
     assert!(predicted.lines().nth(3).unwrap().starts_with("4,flour_7,3"), "{predicted}");
 }
@@ -373,21 +501,49 @@ fn what_discover_accepts_is_a_simulator_that_other_commands_take() {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/campaigns/humidity.csv");
     let out = out.to_str().unwrap();
     let few = ["--simulations", "99", "--budget-runs", "10"];
-    let report =
-        document(&flip(&data, &[&["discover", "--measurements", file, "--out", out, "--json"][..], &few].concat()));
+    let report = document(&flip(
+        &data,
+        &[&["discover", "--measurements", file, "--out", out, "--json"][..], &few].concat(),
+    ));
     // Two powders, five heaps each: ten are too few to criticise the numerics as well.
-    assert_eq!((&report["simulator_runs"], report.get("numerics")), (&json!(10), None), "{}", report["sentence"]);
+    assert_eq!(
+        (&report["simulator_runs"], report.get("numerics")),
+        (&json!(10), None),
+        "{}",
+        report["sentence"]
+    );
     let version = report["simulator_version"]["extended"].as_str().expect("accepted");
 
-    let quick = ["--method", "sequential", "--sets", "1", "--particles", "600", "--tolerance-deg", "4", "--json"];
-    let calibrate = [&["calibrate", "--powder", "sand", "--simulator", version][..], &quick].concat();
+    let quick = [
+        "--method",
+        "sequential",
+        "--sets",
+        "1",
+        "--particles",
+        "600",
+        "--tolerance-deg",
+        "4",
+        "--json",
+    ];
+    let calibrate =
+        [&["calibrate", "--powder", "sand", "--simulator", version][..], &quick].concat();
     let powder = document(&flip(&data, &calibrate))["powders"][0].clone();
     assert_eq!(powder["under"], json!({"simulator": version}));
     // On the driest day, not on the average one of 28.5 deg.
     assert!((25.0..28.2).contains(&powder["target_deg"].as_f64().unwrap()), "{powder}");
 
     let bench = ["--simulator", version, "--condition", "relative_humidity_pct=60"];
-    let evaluate = ["evaluate", "--powders", "sand", "--targets-mg", "5", "--controllers", "fixed", "--repeats", "1"];
+    let evaluate = [
+        "evaluate",
+        "--powders",
+        "sand",
+        "--targets-mg",
+        "5",
+        "--controllers",
+        "fixed",
+        "--repeats",
+        "1",
+    ];
     let evaluated = document(&flip(&data, &[&evaluate[..], &bench, &["--json"]].concat()));
     let conditions = json!({"relative_humidity_pct": 60.0});
     assert_eq!(evaluated["under"], json!({"simulator": version, "conditions": conditions}));
@@ -403,7 +559,10 @@ fn what_discover_accepts_is_a_simulator_that_other_commands_take() {
     refused(&[&weigh[..], &bench[..2]].concat(), "conditions.relative_humidity_pct: is missing");
     refused(&[&weigh[..], &bench[2..]].concat(), "--simulator");
     refused(&[&weigh[..], &["--simulator", "sv-0"]].concat(), "there is no version `sv-0`");
-    refused(&[&weigh[..], &["--simulator", version, "--condition", "wet"]].concat(), "relative_humidity_pct=65");
+    refused(
+        &[&weigh[..], &["--simulator", version, "--condition", "wet"]].concat(),
+        "relative_humidity_pct=65",
+    );
 }
 
 #[test]
@@ -412,21 +571,28 @@ fn discover_asks_which_day_is_meant_and_says_how_it_read_a_file() {
     let (file, out) = (folder.path().join("m.csv"), folder.path().join("found"));
     let slashed = |(k, line): (usize, &str)| {
         let cells: Vec<&str> = line.split(',').collect();
-        let day = cells[2].parse().map_or(cells[2].to_owned(), |day: u32| format!("3/{}/2026", day + 1));
+        let day =
+            cells[2].parse().map_or(cells[2].to_owned(), |day: u32| format!("3/{}/2026", day + 1));
         let humidity = if k == 7 { "NA" } else { cells[3] };
         format!("{};{};{day};{humidity}\n", cells[0], cells[1].replace('.', ","))
     };
     let rows: String = campaign().lines().enumerate().map(slashed).collect();
-    std::fs::write(&file, format!("sep=;\r\n{rows}{}\u{1a}", rows.lines().last().unwrap())).unwrap();
+    std::fs::write(&file, format!("sep=;\r\n{rows}{}\u{1a}", rows.lines().last().unwrap()))
+        .unwrap();
     let (data, quick) = (folder.path().join("data"), ["--simulations", "99", "--budget-runs", "0"]);
-    let discover = ["discover", "--measurements", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let discover =
+        ["discover", "--measurements", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
     let asked = flip(&data, &[&discover[..], &quick].concat());
     expect_status(&asked, 2);
     assert!(stderr(&asked).contains("row[2].session: `3/1/2026`"), "{}", stderr(&asked));
     let output = flip(&data, &[&discover[..], &quick, &["--dates", "month-first"]].concat());
     expect_status(&output, 0);
     let text = String::from_utf8(output.stdout).unwrap();
-    for said in ["column of measurements", "12 days, 2026-03-01 to 2026-03-12", "the mean of its session stands in"] {
+    for said in [
+        "column of measurements",
+        "12 days, 2026-03-01 to 2026-03-12",
+        "the mean of its session stands in",
+    ] {
         assert!(text.contains(said), "{said} is missing in {text}");
     }
 }
@@ -434,13 +600,17 @@ fn discover_asks_which_day_is_meant_and_says_how_it_read_a_file() {
 #[test]
 fn discover_of_one_to_five_sessions_says_that_it_cannot_judge_and_what_that_takes() {
     let folder = tempfile::tempdir().unwrap();
-    let (file, out, data) = (folder.path().join("m.csv"), folder.path().join("found"), folder.path().join("data"));
+    let (file, out, data) =
+        (folder.path().join("m.csv"), folder.path().join("found"), folder.path().join("data"));
     for sessions in [1, 5] {
-        let run = |k: usize| format!("{},3{}.{},{}\n", ["salt", "sugar"][k % 2], k % 7, k % 10, k % sessions);
+        let run = |k: usize| {
+            format!("{},3{}.{},{}\n", ["salt", "sugar"][k % 2], k % 7, k % 10, k % sessions)
+        };
         let rows: String = (0..40).map(run).collect();
         std::fs::write(&file, format!("powder,repose_deg,session\n{rows}")).unwrap();
         let quick = ["--simulations", "99", "--budget-runs", "0"];
-        let discover = ["discover", "--measurements", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        let discover =
+            ["discover", "--measurements", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
         let output = flip(&data, &[&discover[..], &quick].concat());
         expect_status(&output, 0);
         let text = String::from_utf8(output.stdout).unwrap();
@@ -453,10 +623,21 @@ fn discover_of_one_to_five_sessions_says_that_it_cannot_judge_and_what_that_take
         }
         // The job's report reads back unchanged.
         let jobs = document(&flip(&data, &["jobs", "--json"]));
-        assert!(jobs["items"].as_array().unwrap().iter().all(|job| job["state"] == "succeeded"), "{jobs}");
-        let report: Value = serde_json::from_slice(&std::fs::read(out.join("report.json")).unwrap()).unwrap();
-        assert!(report["unjudged"].is_string() && report["null_check"]["campaigns"] == 0, "{report}");
-        assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("Could not be judged"));
+        assert!(
+            jobs["items"].as_array().unwrap().iter().all(|job| job["state"] == "succeeded"),
+            "{jobs}"
+        );
+        let report: Value =
+            serde_json::from_slice(&std::fs::read(out.join("report.json")).unwrap()).unwrap();
+        assert!(
+            report["unjudged"].is_string() && report["null_check"]["campaigns"] == 0,
+            "{report}"
+        );
+        assert!(
+            std::fs::read_to_string(out.join("report.html"))
+                .unwrap()
+                .contains("Could not be judged")
+        );
     }
 }
 
@@ -498,12 +679,20 @@ fn discover_prints_a_text_and_refuses_a_bad_file_before_anything_is_written() {
     let output = flip(&data, &arguments);
     expect_status(&output, 0);
     let text = String::from_utf8(output.stdout).unwrap();
-    for said in ["verdict ", "p = 0.01", "moisture", "rest_min was not recorded", "report.json and predict.csv are in"]
-    {
+    for said in [
+        "verdict ",
+        "p = 0.01",
+        "moisture",
+        "rest_min was not recorded",
+        "report.json and predict.csv are in",
+    ] {
         assert!(text.contains(said), "{said} is missing in {text}");
     }
     assert_eq!(
-        document(&flip(&data, &["jobs", "--kind", "investigation", "--json"]))["items"].as_array().unwrap().len(),
+        document(&flip(&data, &["jobs", "--kind", "investigation", "--json"]))["items"]
+            .as_array()
+            .unwrap()
+            .len(),
         1
     );
     a_version_is_used_and_rolled_back(&data, &file);
@@ -520,22 +709,31 @@ fn a_version_is_used_and_rolled_back(data: &Path, file: &Path) {
     let none = flip(data, &["discover", "use", "sv-0"]);
     expect_status(&none, 2);
     assert!(stderr(&none).contains("simulator: must be `base` or a version"), "{}", stderr(&none));
-    for (chosen, before) in [(version, "base"), (version, "base"), ("base", version), (version, "base")] {
+    for (chosen, before) in
+        [(version, "base"), (version, "base"), ("base", version), (version, "base")]
+    {
         let now = document(&flip(data, &["discover", "use", chosen, "--json"]));
         assert_eq!((&now["simulator"], &now["before"]), (&json!(chosen), &json!(before)));
     }
     let text = String::from_utf8(flip(data, &["discover", "versions"]).stdout).unwrap();
-    assert!(text.contains(&format!("current: {version} since ")) && text.contains(", before that base"), "{text}");
+    assert!(
+        text.contains(&format!("current: {version} since ")) && text.contains(", before that base"),
+        "{text}"
+    );
     let by_current = flip(data, &predict);
     expect_status(&by_current, 0);
-    assert_eq!(by_current.stdout, flip(data, &[&predict[..], &["--simulator", version]].concat()).stdout);
+    assert_eq!(
+        by_current.stdout,
+        flip(data, &[&predict[..], &["--simulator", version]].concat()).stdout
+    );
 }
 
 /// Sixteen weighings of six shakes, eight readings each, and a log of the empty pan, by a balance
 /// that drifts by this many mg/s.
 fn weighings(drift: f64) -> String {
     let mut text = String::from("weighing_id,t_s,balance_mg,shake_index,kind\n");
-    let noise = |reading: u32| f64::from((reading * 7919 + reading * reading * 31) % 101) / 500.0 - 0.1;
+    let noise =
+        |reading: u32| f64::from((reading * 7919 + reading * reading * 31) % 101) / 500.0 - 0.1;
     for reading in 0..16 * 56_u32 {
         let (weighing, k) = (reading / 56, reading % 56);
         let (shake, t) = (k / 8, 0.5 * f64::from(k));
@@ -549,14 +747,21 @@ fn weighings(drift: f64) -> String {
 #[test]
 fn discover_reads_balance_readings_alone_and_refuses_a_bad_file_by_row_and_column() {
     let folder = tempfile::tempdir().unwrap();
-    let (data, file, out) = (folder.path().join("data"), folder.path().join("t.csv"), folder.path().join("found"));
+    let (data, file, out) =
+        (folder.path().join("data"), folder.path().join("t.csv"), folder.path().join("found"));
     let (traces, folder_out) = (file.to_str().unwrap(), out.to_str().unwrap());
     let arguments = ["discover", "--traces", traces, "--simulations", "99", "--out", folder_out];
     let few: String = weighings(0.0).lines().take(20).map(|line| format!("{line}\n")).collect();
     for (text, named) in [
-        (weighings(0.0).replacen("w0,1.5,", "w0,0.5,", 1), "traces.row[5].t_s: runs backwards in weighing `w0`"),
+        (
+            weighings(0.0).replacen("w0,1.5,", "w0,0.5,", 1),
+            "traces.row[5].t_s: runs backwards in weighing `w0`",
+        ),
         (weighings(0.0).replacen("w0,1.5,", "w0,soon,", 1), "traces.row[5].t_s: must be a number"),
-        (weighings(0.0).replacen("balance_mg", "mass", 1), "traces.balance_mg: is missing in the header"),
+        (
+            weighings(0.0).replacen("balance_mg", "mass", 1),
+            "traces.balance_mg: is missing in the header",
+        ),
         (few, "traces: 19 readings say nothing: at least 30 are needed"),
     ] {
         std::fs::write(&file, text).unwrap();
@@ -580,21 +785,36 @@ fn discover_reads_balance_readings_alone_and_refuses_a_bad_file_by_row_and_colum
     assert_eq!((&rate["name"], &rate["unit"]), (&"rate".into(), &"mg/s".into()));
     let [low, high] = [0, 1].map(|k| rate["ci95"][k].as_f64().unwrap());
     assert!(low < 0.03 && 0.03 < high && low > 0.02 && high < 0.04, "{rate}");
-    assert_eq!((&report["traces"]["weighings"], &report["traces"]["controls"]), (&16.into(), &1.into()));
+    assert_eq!(
+        (&report["traces"]["weighings"], &report["traces"]["controls"]),
+        (&16.into(), &1.into())
+    );
     let jobs = document(&flip(&data, &["jobs", "--kind", "investigation", "--json"]));
     assert_eq!(jobs["items"].as_array().unwrap().len(), 1, "the same again is the same job");
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(page.contains("<h2>Balance readings</h2>") && page.contains("the balance drifts"), "{page}");
-    assert_eq!(std::fs::read_to_string(out.join("predict.csv")).unwrap().lines().count(), 1, "there are no angles");
+    assert!(
+        page.contains("<h2>Balance readings</h2>") && page.contains("the balance drifts"),
+        "{page}"
+    );
+    assert_eq!(
+        std::fs::read_to_string(out.join("predict.csv")).unwrap().lines().count(),
+        1,
+        "there are no angles"
+    );
 }
 
 #[test]
 fn a_policy_that_does_not_exist_exits_2_before_anything_is_calibrated() {
     let folder = tempfile::tempdir().unwrap();
-    for arguments in [&["weigh", "--powder", "salt", "--target-mg", "15"] as &[&str], &["evaluate"]] {
+    for arguments in [&["weigh", "--powder", "salt", "--target-mg", "15"] as &[&str], &["evaluate"]]
+    {
         let output = flip(folder.path(), &[arguments, &["--policy", "p-0"]].concat());
         expect_status(&output, 2);
-        assert!(stderr(&output).contains("there is no policy `p-0`"), "{arguments:?}: {}", stderr(&output));
+        assert!(
+            stderr(&output).contains("there is no policy `p-0`"),
+            "{arguments:?}: {}",
+            stderr(&output)
+        );
     }
 }
 
@@ -660,10 +880,16 @@ impl Drop for Service {
 fn while_a_server_holds_the_database_writers_exit_2_and_readers_read() {
     let folder = tempfile::tempdir().unwrap();
     let service = Service::start(folder.path());
-    for arguments in [&["calibrate", "--powder", "salt"] as &[&str], &["serve", "--listen", "127.0.0.1:0"]] {
+    for arguments in
+        [&["calibrate", "--powder", "salt"] as &[&str], &["serve", "--listen", "127.0.0.1:0"]]
+    {
         let output = flip(folder.path(), arguments);
         expect_status(&output, 2);
-        assert!(stderr(&output).contains("holds this database"), "{arguments:?}: {}", stderr(&output));
+        assert!(
+            stderr(&output).contains("holds this database"),
+            "{arguments:?}: {}",
+            stderr(&output)
+        );
     }
     let jobs = flip(folder.path(), &["jobs", "--json"]);
     expect_status(&jobs, 0);
@@ -680,7 +906,8 @@ fn a_latched_bench_of_devices_is_not_cleared_by_a_command_that_has_another_bench
     let latch = "INSERT INTO latch (at, reason, bench) VALUES (1, 'a device failed', 'devices')";
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
-        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
+        let options =
+            sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
         let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
         sqlx::query(latch).execute(&pool).await.unwrap();
         pool.close().await;
@@ -690,7 +917,10 @@ fn a_latched_bench_of_devices_is_not_cleared_by_a_command_that_has_another_bench
     expect_status(&refused, 2);
     assert!(stderr(&refused).contains("--bench FILE"), "{}", stderr(&refused));
     let status = document(&flip(folder.path(), &["bench", "status", "--json"]));
-    assert_eq!((&status["latch"]["reason"], &status["held"]), (&json!("a device failed"), &json!(null)));
+    assert_eq!(
+        (&status["latch"]["reason"], &status["held"]),
+        (&json!("a device failed"), &json!(null))
+    );
 }
 
 #[test]
@@ -699,8 +929,10 @@ fn a_bench_is_reserved_and_released_on_the_command_line_and_only_a_held_one_is_r
     let refused = flip(folder.path(), &["bench", "resume", "--by", "Ada"]);
     expect_status(&refused, 2);
     assert!(stderr(&refused).contains("not held"), "{}", stderr(&refused));
-    let reserved =
-        document(&flip(folder.path(), &["bench", "reserve", "--owner", "Ada", "--seconds", "600", "--json"]));
+    let reserved = document(&flip(
+        folder.path(),
+        &["bench", "reserve", "--owner", "Ada", "--seconds", "600", "--json"],
+    ));
     let id = reserved["id"].as_str().unwrap();
     let status = document(&flip(folder.path(), &["bench", "status", "--json"]));
     assert_eq!(status["reservation"], reserved);
@@ -733,7 +965,10 @@ fn bench_writes_the_same_bed_twice_as_centres_in_metres() {
     let folder = tempfile::tempdir().unwrap();
     let bed = || {
         let file = folder.path().join("bed.csv");
-        let output = flip(folder.path(), &["bench", "bed", "--particles", "150", file.to_str().unwrap(), "--json"]);
+        let output = flip(
+            folder.path(),
+            &["bench", "bed", "--particles", "150", file.to_str().unwrap(), "--json"],
+        );
         expect_status(&output, 0);
         assert_eq!(document(&output)["particles"], 150);
         std::fs::read_to_string(file).unwrap()
@@ -742,7 +977,10 @@ fn bench_writes_the_same_bed_twice_as_centres_in_metres() {
     assert_eq!(first.lines().count(), 150);
     for line in first.lines() {
         let centre: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
-        assert!(centre.len() == 3 && centre.iter().all(|m| m.abs() < 0.005) && centre[2] > 0.0001, "{line}");
+        assert!(
+            centre.len() == 3 && centre.iter().all(|m| m.abs() < 0.005) && centre[2] > 0.0001,
+            "{line}"
+        );
     }
     assert_eq!(first, bed());
 }
@@ -754,7 +992,8 @@ fn policy_file(folder: &Path) -> String {
     let pid = Pid { incline: gains(0.0, 0.01), shake: gains(0.05, 0.0) };
     let manifest = Manifest::of_untrained(Kind::Pid { gains: pid }, Rules::FLIP, 0);
     let file = folder.join("pid.safetensors");
-    std::fs::write(&file, policy::encode(&Policy { manifest, controller: Controller::Pid(pid) })).unwrap();
+    std::fs::write(&file, policy::encode(&Policy { manifest, controller: Controller::Pid(pid) }))
+        .unwrap();
     file.to_str().unwrap().to_owned()
 }
 
@@ -762,21 +1001,39 @@ fn policy_file(folder: &Path) -> String {
 fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
     let folder = tempfile::tempdir().unwrap();
     let file = policy_file(folder.path());
-    let seen = |reading_mg: f64, pitch_deg: f64| Observation { reading_mg, target_mg: 10.0, pitch_deg };
+    let seen =
+        |reading_mg: f64, pitch_deg: f64| Observation { reading_mg, target_mg: 10.0, pitch_deg };
     let infer = |more: &[&str]| {
-        let asked =
-            ["policy", "infer", "--file", &file, "--target-mg", "10", "--pitch-deg", "0.8", "--reading-mg", "4"];
+        let asked = [
+            "policy",
+            "infer",
+            "--file",
+            &file,
+            "--target-mg",
+            "10",
+            "--pitch-deg",
+            "0.8",
+            "--reading-mg",
+            "4",
+        ];
         flip(folder.path(), &[&asked[..], more].concat())
     };
     let expect = |answer: &Value, incline_change_deg: f64, shake_mm: f64, episode: &str| {
-        assert!((answer["incline_change_deg"].as_f64().unwrap() - incline_change_deg).abs() < 1e-9, "{answer}");
+        assert!(
+            (answer["incline_change_deg"].as_f64().unwrap() - incline_change_deg).abs() < 1e-9,
+            "{answer}"
+        );
         assert!((answer["shake_mm"].as_f64().unwrap() - shake_mm).abs() < 1e-9, "{answer}");
         assert_eq!(answer["episode"], episode);
     };
     // The sum needs the previously missing mass.
     let alone = infer(&["--json"]);
     expect_status(&alone, 2);
-    assert!(stderr(&alone).contains("reading_mg: must be within 1 mg of the tare"), "{}", stderr(&alone));
+    assert!(
+        stderr(&alone).contains("reading_mg: must be within 1 mg of the tare"),
+        "{}",
+        stderr(&alone)
+    );
     // With the 10 mg missing before, the sum is 16.
     let action = flip_core::domain::bench::Action { incline_change_deg: 0.8, shake_mm: 8.0 };
     let history = folder.path().join("history.json");
@@ -786,15 +1043,25 @@ fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
     expect_status(&remembered, 0);
     expect(&document(&remembered), 1.28, 4.8, "running");
     assert!(
-        String::from_utf8(infer(&["--history", history.to_str().unwrap()]).stdout).unwrap().contains("shake 4.80 mm")
+        String::from_utf8(infer(&["--history", history.to_str().unwrap()]).stdout)
+            .unwrap()
+            .contains("shake 4.80 mm")
     );
     let late = [Done { before: seen(3.0, 0.0), action, after: seen(4.0, 0.8) }];
     std::fs::write(&history, serde_json::to_string(&late).unwrap()).unwrap();
-    assert!(stderr(&infer(&["--history", history.to_str().unwrap()])).contains("history[0].before.reading_mg"));
+    assert!(
+        stderr(&infer(&["--history", history.to_str().unwrap()]))
+            .contains("history[0].before.reading_mg")
+    );
 
     let lines = |lines: &[Value]| {
         let mut command = command(folder.path(), &["policy", "infer", "--file", &file, "--stdin"]);
-        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut process = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         let mut stdin = process.stdin.take().unwrap();
         lines.iter().for_each(|line| writeln!(stdin, "{line}").unwrap());
         drop(stdin);
@@ -804,13 +1071,16 @@ fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
     let output = lines(&course);
     expect_status(&output, 0);
     let text = String::from_utf8(output.stdout).unwrap();
-    let answers: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let answers: Vec<Value> =
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(answers.len(), 3);
     expect(&answers[0], 0.8, 8.0, "running");
     expect(&answers[1], 1.28, 4.8, "running");
     expect(&answers[2], 1.32, 0.4, "terminated");
     let other_target = json!({ "reading_mg": 4.0, "target_mg": 12.0, "pitch_deg": 0.0 });
-    for (line, named) in [(other_target, "target_mg: must stay 10 mg"), (json!({ "reading_mg": 4.0 }), "stdin[2]")] {
+    for (line, named) in
+        [(other_target, "target_mg: must stay 10 mg"), (json!({ "reading_mg": 4.0 }), "stdin[2]")]
+    {
         let refused = lines(&[course[0].clone(), line]);
         expect_status(&refused, 2);
         assert!(stderr(&refused).contains(named), "{}", stderr(&refused));
@@ -828,12 +1098,25 @@ fn bytes_that_are_no_policy_and_numbers_that_no_bench_shows_are_refused_by_field
     let history = folder.path().join("history.json");
     std::fs::write(&history, steps.to_string()).unwrap();
     let infer = |file: &str, pitch: &str, more: &[&str]| {
-        let asked = ["policy", "infer", "--file", file, "--target-mg", "10", "--reading-mg", "4", "--pitch-deg", pitch];
+        let asked = [
+            "policy",
+            "infer",
+            "--file",
+            file,
+            "--target-mg",
+            "10",
+            "--reading-mg",
+            "4",
+            "--pitch-deg",
+            pitch,
+        ];
         let output = flip(folder.path(), &[&asked[..], more].concat());
         expect_status(&output, 2);
         stderr(&output)
     };
-    assert!(infer(text.to_str().unwrap(), "0", &[]).contains("file: this is not a safetensors file"));
+    assert!(
+        infer(text.to_str().unwrap(), "0", &[]).contains("file: this is not a safetensors file")
+    );
     assert!(infer(&file, "91", &[]).contains("pitch_deg: must be a number from -90 to 90"));
     let refused = infer(&file, "0", &["--history", history.to_str().unwrap()]);
     assert!(refused.contains("history[0].action.shake_mm"), "{refused}");

@@ -13,8 +13,14 @@ const REACHED: &str = "cargo began to compile";
 /// stages.
 fn copied() -> Vec<String> {
     let dockerfile = fs::read_to_string(Path::new(ROOT).join("Dockerfile")).unwrap();
-    let stage = dockerfile.split("\nFROM ").find(|stage| stage.contains("cargo build")).expect("a stage that builds");
-    let lines = stage.lines().filter_map(|line| line.strip_prefix("COPY ")).filter(|line| !line.starts_with("--from"));
+    let stage = dockerfile
+        .split("\nFROM ")
+        .find(|stage| stage.contains("cargo build"))
+        .expect("a stage that builds");
+    let lines = stage
+        .lines()
+        .filter_map(|line| line.strip_prefix("COPY "))
+        .filter(|line| !line.starts_with("--from"));
     lines.flat_map(|line| line.rsplit_once(' ').unwrap().0.split(' ').map(str::to_owned)).collect()
 }
 
@@ -40,7 +46,10 @@ fn copy(from: &Path, to: &Path) {
 fn context() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for name in copied() {
-        assert!(is_let_through(&name), "the Dockerfile copies `{name}`, which .dockerignore keeps out");
+        assert!(
+            is_let_through(&name),
+            "the Dockerfile copies `{name}`, which .dockerignore keeps out"
+        );
         copy(&Path::new(ROOT).join(&name), &folder.path().join(&name));
     }
     folder
@@ -86,7 +95,11 @@ fn included() -> Vec<(PathBuf, PathBuf)> {
             let text = fs::read_to_string(&path).unwrap();
             let program = text.split("#[cfg(test)]").next().unwrap_or_default();
             for pattern in ["include_str!(\"", "include_bytes!(\""] {
-                let names = program.split(pattern).skip(1).filter_map(|rest| rest.split_once('"')).map(|it| it.0);
+                let names = program
+                    .split(pattern)
+                    .skip(1)
+                    .filter_map(|rest| rest.split_once('"'))
+                    .map(|it| it.0);
                 found.extend(names.map(|name| (path.clone(), path.parent().unwrap().join(name))));
             }
         }
@@ -100,10 +113,15 @@ fn every_file_that_the_program_includes_is_in_the_images_build_context() {
     let included = included();
     assert!(!included.is_empty());
     for (source, file) in included {
-        let file = file.canonicalize().unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+        let file =
+            file.canonicalize().unwrap_or_else(|error| panic!("{}: {error}", file.display()));
         let inside = file.strip_prefix(&root).unwrap();
         let top = inside.iter().next().unwrap().to_str().unwrap();
-        let lacks = format!("{} includes {}, which the image's build lacks", source.display(), inside.display());
+        let lacks = format!(
+            "{} includes {}, which the image's build lacks",
+            source.display(),
+            inside.display()
+        );
         assert!(names.iter().any(|name| name == top), "{lacks}");
     }
 }

@@ -97,7 +97,9 @@ impl Motions {
     }
 
     fn read_on(&mut self) {
-        while self.file.read_line(&mut self.unfinished).unwrap() > 0 && self.unfinished.ends_with('\n') {
+        while self.file.read_line(&mut self.unfinished).unwrap() > 0
+            && self.unfinished.ends_with('\n')
+        {
             self.made.push(serde_json::from_str(&self.unfinished).unwrap());
             self.unfinished.clear();
         }
@@ -115,7 +117,8 @@ impl Laboratory {
     fn start(folder: &Path) -> Self {
         let (bench, motions) = (folder.join("bench.toml"), folder.join("motions.jsonl"));
         let out = [bench.to_str().unwrap(), motions.to_str().unwrap()];
-        let lab = ["emulate", "lab", "--formula", "--speed", SPEED, "--out", out[0], "--motions", out[1]];
+        let lab =
+            ["emulate", "lab", "--formula", "--speed", SPEED, "--out", out[0], "--motions", out[1]];
         let (process, _) = started(&lab);
         Self { _process: process, bench, motions: RefCell::new(Motions::open(&motions)) }
     }
@@ -160,7 +163,15 @@ impl Service {
     fn start(folder: &Path, laboratory: &Laboratory, token: Option<String>) -> Self {
         let data = folder.join("data");
         let bench = laboratory.bench.to_str().unwrap();
-        let serve = ["serve", "--listen", "127.0.0.1:0", "--bench", bench, "--data-dir", data.to_str().unwrap()];
+        let serve = [
+            "serve",
+            "--listen",
+            "127.0.0.1:0",
+            "--bench",
+            bench,
+            "--data-dir",
+            data.to_str().unwrap(),
+        ];
         let (process, said) = started(&serve);
         let url = said["url"].as_str().unwrap().to_owned();
         let token = token.or_else(|| said["token"].as_str().map(str::to_owned)).expect("a token");
@@ -179,8 +190,10 @@ impl Service {
     }
 
     async fn post(&self, path: &str, key: Option<&str>, body: &Value) -> (u16, Value) {
-        let request = self.client.post(format!("{}{path}", self.url)).bearer_auth(&self.token).json(body);
-        let request = key.into_iter().fold(request, |request, key| request.header("Idempotency-Key", key));
+        let request =
+            self.client.post(format!("{}{path}", self.url)).bearer_auth(&self.token).json(body);
+        let request =
+            key.into_iter().fold(request, |request, key| request.header("Idempotency-Key", key));
         let response = request.send().await.unwrap();
         (response.status().as_u16(), response.json().await.unwrap())
     }
@@ -197,7 +210,10 @@ impl Service {
     }
 
     async fn state(&self, id: &str) -> String {
-        self.get(&format!("/v1/weighings/{id}")).await["weighing"]["state"].as_str().unwrap().to_owned()
+        self.get(&format!("/v1/weighings/{id}")).await["weighing"]["state"]
+            .as_str()
+            .unwrap()
+            .to_owned()
     }
 
     async fn has_ended(&self, id: &str) -> bool {
@@ -207,13 +223,20 @@ impl Service {
     /// The shakes the guard let through, according to the audit trail, mm.
     async fn decided_mm(&self, id: &str) -> Vec<f64> {
         let records = self.get(&format!("/v1/audit.json?weighing={id}")).await;
-        let decisions = records.as_array().unwrap().iter().filter(|record| record["kind"] == "decision");
-        let allowed = decisions.filter_map(|record| Option::<Action>::deserialize(&record["body"]["allowed"]).unwrap());
-        allowed.map(|action| action.executed_shake_mm()).filter(|shake_mm| *shake_mm > 0.0).collect()
+        let decisions =
+            records.as_array().unwrap().iter().filter(|record| record["kind"] == "decision");
+        let allowed = decisions.filter_map(|record| {
+            Option::<Action>::deserialize(&record["body"]["allowed"]).unwrap()
+        });
+        allowed
+            .map(|action| action.executed_shake_mm())
+            .filter(|shake_mm| *shake_mm > 0.0)
+            .collect()
     }
 
     async fn clear(&self) {
-        let said = json!({"by": "the test", "note": "vial looked at", "looked": true, "vial_ready": true});
+        let said =
+            json!({"by": "the test", "note": "vial looked at", "looked": true, "vial_ready": true});
         let (status, body) = self.post("/v1/bench/clear", None, &said).await;
         assert_eq!(status, 200, "{body}");
     }
@@ -256,7 +279,9 @@ fn accounted_mg(made: &[Motion], decided_mm: &[f64]) -> Result<f64, String> {
                 return Err(format!("a shake of {shake_mm} mm, and on record are {decided_mm:?}"));
             }
             if fallen_mg > LIMIT_MG {
-                return Err(format!("a shake of {shake_mm} mm began with {fallen_mg:.2} mg in the vial"));
+                return Err(format!(
+                    "a shake of {shake_mm} mm began with {fallen_mg:.2} mg in the vial"
+                ));
             }
         }
         fallen_mg += motion.poured_mg;
@@ -290,7 +315,9 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         let (status, weighing) = service.weigh(&key).await;
         assert_eq!(status, 202, "{weighing}");
         let id = weighing["id"].as_str().unwrap().to_owned();
-        service.wait_for("the bench does not move", &id, &["armed", "dosing", "settling", "done"]).await;
+        service
+            .wait_for("the bench does not move", &id, &["armed", "dosing", "settling", "done"])
+            .await;
         let drawn = flip_core::domain::seed::derive(20_261_124, &[kill]);
         let share = (drawn % 1000) as f64 / 1000.0;
         // Every third at any time from the start, including before powder falls; the others once
@@ -298,7 +325,9 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         let later_ms = match kill % 3 {
             0 => drawn % 8000,
             _ => {
-                while laboratory.vial_mg() - before_mg < share * TARGET_MG && !service.has_ended(&id).await {
+                while laboratory.vial_mg() - before_mg < share * TARGET_MG
+                    && !service.has_ended(&id).await
+                {
                     tokio::time::sleep(Duration::from_millis(15)).await;
                 }
                 drawn / 1000 % 200
@@ -308,10 +337,12 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         let token = service.kill();
         let killed = laboratory.motions().made.len();
         let last = laboratory.wait_until_still();
-        let shakes = laboratory.motions().made[killed..].iter().filter_map(Motion::shake_mm).count();
+        let shakes =
+            laboratory.motions().made[killed..].iter().filter_map(Motion::shake_mm).count();
         assert!(shakes <= LAST_SHAKES, "kill {kill}: {shakes} shakes after it");
         let poured_mg = laboratory.vial_mg() - before_mg;
-        let is_level = laboratory.motions().made.last().is_none_or(|motion| motion.pitch_deg == 0.0);
+        let is_level =
+            laboratory.motions().made.last().is_none_or(|motion| motion.pitch_deg == 0.0);
         assert!(is_level, "kill {kill}: the spoon is not level");
 
         service = Service::start(folder.path(), &laboratory, Some(token));
@@ -328,7 +359,9 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
             "done" | "aborted" => {
                 let weighing = service.get(&format!("/v1/weighings/{id}")).await["weighing"].take();
                 let (outcome, shown_mg) = (&weighing["outcome"], &weighing["reading_mg"]);
-                tally.ended.push(format!("kill {kill}: {outcome}, {shown_mg} mg shown, {poured_mg:.2} mg"));
+                tally.ended.push(format!(
+                    "kill {kill}: {outcome}, {shown_mg} mg shown, {poured_mg:.2} mg"
+                ));
             }
             other => panic!("kill {kill}: {other}"),
         }
@@ -339,20 +372,25 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         let decided_mm = service.decided_mm(&id).await;
         let made = laboratory.motions().made.clone();
         assert_eq!(made.len(), last, "kill {kill}: {:?} after the restart", &made[last..]);
-        let accounted_mg =
-            accounted_mg(&made[first..], &decided_mm).unwrap_or_else(|what| panic!("kill {kill}: {what}"));
+        let accounted_mg = accounted_mg(&made[first..], &decided_mm)
+            .unwrap_or_else(|what| panic!("kill {kill}: {what}"));
         let missing_mg = poured_mg - accounted_mg;
         assert!(missing_mg.abs() < SAME_MG, "kill {kill}: {missing_mg} mg that fell in no motion");
         tally.poured_mg.push(poured_mg);
         if poured_mg > LIMIT_MG {
-            tally.over.push(format!("kill {kill}: {state}, {poured_mg:.2} mg, shakes of {decided_mm:.1?} mm"));
+            tally.over.push(format!(
+                "kill {kill}: {state}, {poured_mg:.2} mg, shakes of {decided_mm:.1?} mm"
+            ));
         }
         if latched {
             service.clear().await;
         }
     }
     let verified = service.get("/v1/audit/verification").await;
-    assert!(verified["broken"].is_null() && verified["records"].as_i64().unwrap() > 0, "{verified}");
+    assert!(
+        verified["broken"].is_null() && verified["records"].as_i64().unwrap() > 0,
+        "{verified}"
+    );
     tally
 }
 
@@ -361,11 +399,17 @@ fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_fo
     let kills = std::env::var("FLIP_KILLS").map_or(KILLS, |text| text.parse().unwrap());
     let (mut unknown, mut ended, mut poured_mg, mut over) = (0, Vec::new(), Vec::new(), Vec::new());
     let in_laboratory = |first: u64| {
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .unwrap();
         runtime.block_on(kill_all((first..kills).step_by(LABORATORIES as usize)))
     };
     std::thread::scope(|scope| {
-        let all: Vec<_> = (0..LABORATORIES.min(kills)).map(|first| scope.spawn(move || in_laboratory(first))).collect();
+        let all: Vec<_> = (0..LABORATORIES.min(kills))
+            .map(|first| scope.spawn(move || in_laboratory(first)))
+            .collect();
         for laboratory in all {
             let tally = laboratory.join().expect("a laboratory has failed");
             unknown += tally.unknown;
@@ -375,14 +419,18 @@ fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_fo
         }
     });
     poured_mg.sort_by(f64::total_cmp);
-    let quartiles: Vec<String> = (0..=4).map(|q| format!("{:.1}", poured_mg[q * (poured_mg.len() - 1) / 4])).collect();
+    let quartiles: Vec<String> =
+        (0..=4).map(|q| format!("{:.1}", poured_mg[q * (poured_mg.len() - 1) / 4])).collect();
     let quartiles = quartiles.join(", ");
     println!(
         "{kills} kills: {unknown} doses unknown and latched, {} had ended; in the vials (quartiles) {quartiles} mg of {TARGET_MG}",
         ended.len()
     );
     println!("ended before they were killed:\n  {}", ended.join("\n  "));
-    println!("above {LIMIT_MG} mg by the last shake, decided before the kill:\n  {}", over.join("\n  "));
+    println!(
+        "above {LIMIT_MG} mg by the last shake, decided before the kill:\n  {}",
+        over.join("\n  ")
+    );
     let most_mg = LIMIT_MG + DISPLAY_MG;
     assert!(
         poured_mg[poured_mg.len() - 1] <= most_mg,
@@ -393,17 +441,29 @@ fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_fo
 
 #[test]
 fn a_shake_that_nobody_decided_or_that_begins_above_the_limit_is_found() {
-    let shake =
-        |mm: f64, poured_mg: f64| Motion { motion: format!("Shake({mm:?})"), pitch_deg: 24.0, poured_mg, vial_mg: 0.0 };
-    let pitch = Motion { motion: "Pitch(24.0)".to_owned(), pitch_deg: 24.0, poured_mg: 0.5, vial_mg: 0.0 };
+    let shake = |mm: f64, poured_mg: f64| Motion {
+        motion: format!("Shake({mm:?})"),
+        pitch_deg: 24.0,
+        poured_mg,
+        vial_mg: 0.0,
+    };
+    let pitch =
+        Motion { motion: "Pitch(24.0)".to_owned(), pitch_deg: 24.0, poured_mg: 0.5, vial_mg: 0.0 };
     let dose = [pitch, shake(4.0, 8.0), shake(2.5, 6.0)];
     assert_eq!(accounted_mg(&dose, &[4.0, 2.5]), Ok(14.5));
     // The kill came between the decision and its shake.
     assert_eq!(accounted_mg(&dose[..2], &[4.0, 2.5]), Ok(8.5));
-    let wrong =
-        [(&dose[..], vec![4.0]), (&dose[..], vec![4.0, 2.0]), (&dose[..], vec![2.5, 4.0]), (&dose[1..], vec![])];
+    let wrong = [
+        (&dose[..], vec![4.0]),
+        (&dose[..], vec![4.0, 2.0]),
+        (&dose[..], vec![2.5, 4.0]),
+        (&dose[1..], vec![]),
+    ];
     for (made, decided_mm) in wrong {
-        assert!(accounted_mg(made, &decided_mm).unwrap_err().contains("on record"), "{decided_mm:?}");
+        assert!(
+            accounted_mg(made, &decided_mm).unwrap_err().contains("on record"),
+            "{decided_mm:?}"
+        );
     }
     let [pitch, first, second] = dose;
     let above = [pitch, first, second, shake(1.0, 0.0)];

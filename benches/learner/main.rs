@@ -36,16 +36,21 @@ fn remembered(settings: &Settings, rng: &mut Pcg64Mcg) -> Replay {
     let formula = Formula { pitch: PitchLimits::WIDE };
     for seed in 0..200 {
         let mut spoon = formula.fill(&ParameterSet::default(), seed);
-        let played = play(&mut spoon, &Rules::PAPER, &balance::Settings::default(), 12.0, seed, |_| {
-            [rng.random::<f32>(), 2.0 * rng.random::<f32>() - 1.0]
-        });
+        let played =
+            play(&mut spoon, &Rules::PAPER, &balance::Settings::default(), 12.0, seed, |_| {
+                [rng.random::<f32>(), 2.0 * rng.random::<f32>() - 1.0]
+            });
         let steps = played.steps.into_iter().map(|step| Memory {
             step,
             target_mg: 12.0,
             repose_deg: 0.0,
             parameters: [0.5; COUNT],
         });
-        let state = if settings.stores_states() { vec![0.1; 2 * settings.hidden as usize] } else { Vec::new() };
+        let state = if settings.stores_states() {
+            vec![0.1; 2 * settings.hidden as usize]
+        } else {
+            Vec::new()
+        };
         replay.push(Episode { steps: steps.collect(), state });
     }
     replay
@@ -79,7 +84,8 @@ impl Ours {
         let before = processor_s();
         for _ in 0..updates {
             let drawn = self.replay.draw(&self.settings, &mut self.rng);
-            let noise: Vec<f32> = (0..4 * drawn.reward.len()).map(|_| normal(&mut self.rng)).collect();
+            let noise: Vec<f32> =
+                (0..4 * drawn.reward.len()).map(|_| normal(&mut self.rng)).collect();
             self.learner.update(&drawn, &noise, &self.settings);
         }
         (processor_s() - before) / f64::from(updates)
@@ -142,33 +148,43 @@ fn main() {
     let mut peer = Peer::start();
     let mut cases = Vec::new();
     for (hidden, batch) in CASES {
-        let mut ours = Ours::new(Settings { hidden, batch, ..Settings::of(Preset::Flip, Order::Curriculum, 1) });
+        let mut ours = Ours::new(Settings {
+            hidden,
+            batch,
+            ..Settings::of(Preset::Flip, Order::Curriculum, 1)
+        });
         let inputs = ours.settings.encoding.width();
         // The peer builds its learner at the first request: that window is warm-up, not measured.
         peer = peer.and_then(|mut peer| peer.window((hidden, batch), inputs, 1).map(|_| peer));
         let (mut own, mut theirs) = (Vec::new(), Vec::new());
         for _ in 0..WINDOWS {
             own.push(ours.window(UPDATES));
-            theirs.extend(peer.as_mut().and_then(|peer| peer.window((hidden, batch), inputs, UPDATES)));
+            theirs.extend(
+                peer.as_mut().and_then(|peer| peer.window((hidden, batch), inputs, UPDATES)),
+            );
         }
         let (flip, sb3) = (rates(&own), rates(&theirs));
-        let ratio = sb3["median"].as_f64().and_then(|theirs| Some(flip["median"].as_f64()? / theirs));
+        let ratio =
+            sb3["median"].as_f64().and_then(|theirs| Some(flip["median"].as_f64()? / theirs));
         let network = format!("{hidden} units");
         cases.push(
             json!({ "network": network, "batch": batch, "flip": flip, "stable_baselines3": sb3, "ratio": ratio }),
         );
     }
-    for (name, replayed) in [("stored state", Replayed::StoredState), ("episodes", Replayed::Episodes)] {
+    for (name, replayed) in
+        [("stored state", Replayed::StoredState), ("episodes", Replayed::Episodes)]
+    {
         let paper = Settings::of(Preset::Paper, Order::Curriculum, 1);
         let mut ours = Ours::new(Settings { network: Network::Recurrent { replayed }, ..paper });
         let costs_s: Vec<f64> = (0..WINDOWS).map(|_| ours.window(UPDATES / 5)).collect();
         let network = format!("recurrent, {name}");
-        cases.push(json!({ "network": network, "batch": ours.settings.batch, "flip": rates(&costs_s) }));
+        cases.push(
+            json!({ "network": network, "batch": ours.settings.batch, "flip": rates(&costs_s) }),
+        );
     }
     let version = peer.as_ref().map(|peer| peer.version.clone());
     peer.into_iter().for_each(Peer::end);
-    let document =
-        json!({ "windows": WINDOWS, "updates": UPDATES, "stable_baselines3": version, "updates_per_core_s": cases });
+    let document = json!({ "windows": WINDOWS, "updates": UPDATES, "stable_baselines3": version, "updates_per_core_s": cases });
     match as_json {
         true => println!("{document:#}"),
         false => print(&document),
@@ -179,7 +195,10 @@ fn print(document: &Value) {
     let version = document["stable_baselines3"].as_str().unwrap_or("not measured");
     println!("updates per core-second, {WINDOWS} windows of {UPDATES}: median (least to most)");
     println!("Stable-Baselines3: {version}");
-    println!("{:>24} {:>6} {:>22} {:>22} {:>6}", "network", "batch", "flip", "stable-baselines3", "ratio");
+    println!(
+        "{:>24} {:>6} {:>22} {:>22} {:>6}",
+        "network", "batch", "flip", "stable-baselines3", "ratio"
+    );
     for case in document["updates_per_core_s"].as_array().into_iter().flatten() {
         let rates = |who: &str| match case[who]["median"].as_f64() {
             Some(median) => format!(

@@ -41,7 +41,8 @@ const NAMES: [(Attack, &str); 6] = [
 
 impl Attack {
     /// Every attack.
-    pub const ALL: [Self; 6] = [Self::Messages, Self::Silent, Self::Readers, Self::Pollers, Self::Streams, Self::Lock];
+    pub const ALL: [Self; 6] =
+        [Self::Messages, Self::Silent, Self::Readers, Self::Pollers, Self::Streams, Self::Lock];
 
     /// The attack of this name; `all` and `none` are names too.
     pub fn named(name: &str) -> anyhow::Result<Vec<Self>> {
@@ -82,11 +83,21 @@ pub async fn begin(attacks: &[Attack], service: &Arc<Service>) -> anyhow::Result
     }
     for attack in attacks {
         match attack {
-            Attack::Messages => (0..3).for_each(|_| drop(runtime.spawn(messages(service.url.clone())))),
-            Attack::Silent => (0..1200).for_each(|k| drop(runtime.spawn(silent(service.url.clone(), k)))),
-            Attack::Readers => (0..60).for_each(|k| drop(runtime.spawn(read(service.url.clone(), k)))),
-            Attack::Pollers => (0..300).for_each(|_| drop(runtime.spawn(poll(service.url.clone())))),
-            Attack::Streams => (0..300).for_each(|_| drop(runtime.spawn(follow(service.url.clone())))),
+            Attack::Messages => {
+                (0..3).for_each(|_| drop(runtime.spawn(messages(service.url.clone()))))
+            }
+            Attack::Silent => {
+                (0..1200).for_each(|k| drop(runtime.spawn(silent(service.url.clone(), k))))
+            }
+            Attack::Readers => {
+                (0..60).for_each(|k| drop(runtime.spawn(read(service.url.clone(), k))))
+            }
+            Attack::Pollers => {
+                (0..300).for_each(|_| drop(runtime.spawn(poll(service.url.clone()))))
+            }
+            Attack::Streams => {
+                (0..300).for_each(|_| drop(runtime.spawn(follow(service.url.clone()))))
+            }
             Attack::Lock => drop(runtime.spawn(lock(database(service).await?))),
         }
     }
@@ -99,11 +110,14 @@ async fn messages(url: String) {
     let endless = (0..100).map(|k| {
         let channel = channel.clone();
         async move {
-            let method = ["/flip.v1.Weighings/StartWeighing", "/flip.v1.Weighings/ListWeighings"][k % 2];
+            let method =
+                ["/flip.v1.Weighings/StartWeighing", "/flip.v1.Weighings/ListWeighings"][k % 2];
             loop {
-                let sent = stream::iter([Ok::<_, std::convert::Infallible>(&b"\0\0\0\x10\0abc"[..])]);
+                let sent =
+                    stream::iter([Ok::<_, std::convert::Infallible>(&b"\0\0\0\x10\0abc"[..])]);
                 let body = tonic::body::Body::new(Body::from_stream(sent.chain(stream::pending())));
-                let request = axum::http::Request::post(method).header("content-type", "application/grpc");
+                let request =
+                    axum::http::Request::post(method).header("content-type", "application/grpc");
                 if let Ok(request) = request.header("te", "trailers").body(body) {
                     let _answer = channel.clone().oneshot(request).await;
                 }

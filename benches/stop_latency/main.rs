@@ -71,9 +71,16 @@ impl Service {
         Ok(request.send().await?.json().await?)
     }
 
-    async fn post(&self, path: &str, key: Option<String>, body: &Value) -> anyhow::Result<(u16, Value)> {
-        let request = self.client.post(format!("{}{path}", self.url)).bearer_auth(&self.token).json(body);
-        let request = key.into_iter().fold(request, |request, key| request.header("Idempotency-Key", key));
+    async fn post(
+        &self,
+        path: &str,
+        key: Option<String>,
+        body: &Value,
+    ) -> anyhow::Result<(u16, Value)> {
+        let request =
+            self.client.post(format!("{}{path}", self.url)).bearer_auth(&self.token).json(body);
+        let request =
+            key.into_iter().fold(request, |request, key| request.header("Idempotency-Key", key));
         let response = request.send().await?;
         Ok((response.status().as_u16(), response.json().await?))
     }
@@ -81,11 +88,13 @@ impl Service {
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
-    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
+    let words: Vec<String> =
+        std::env::args().skip(1).filter(|word| !word.starts_with('-')).collect();
     let numbers: Vec<u64> = words.iter().filter_map(|text| text.parse().ok()).collect();
     let number = |k: usize, default: u64| numbers.get(k).copied().unwrap_or(default);
     let (stops, clients, laboratories) = (number(0, 200), number(1, 100), number(2, 1).max(1));
-    let named = words.iter().filter(|word| word.parse::<u64>().is_err()).map(|word| Attack::named(word));
+    let named =
+        words.iter().filter(|word| word.parse::<u64>().is_err()).map(|word| Attack::named(word));
     let mut rows: Vec<Vec<Attack>> = named.collect::<anyhow::Result<_>>()?;
     if rows.is_empty() {
         rows = vec![Vec::new(), Attack::ALL.to_vec()];
@@ -105,7 +114,8 @@ async fn main() -> anyhow::Result<()> {
 /// One line of the table.
 async fn row(attack: &[Attack], stops: u64, clients: u64, laboratories: u64) -> anyhow::Result<()> {
     let all = (0..laboratories).map(|first| {
-        let (stops, attack) = ((first..stops).step_by(laboratories as usize).collect(), attack.to_vec());
+        let (stops, attack) =
+            ((first..stops).step_by(laboratories as usize).collect(), attack.to_vec());
         tokio::spawn(async move { in_laboratory(stops, clients, &attack).await })
     });
     let mut sum = Stopped::default();
@@ -151,7 +161,11 @@ struct Stopped {
     rate: f64,
 }
 
-async fn in_laboratory(stops: Vec<u64>, clients: u64, attack: &[Attack]) -> anyhow::Result<Stopped> {
+async fn in_laboratory(
+    stops: Vec<u64>,
+    clients: u64,
+    attack: &[Attack],
+) -> anyhow::Result<Stopped> {
     let folder = tempfile::tempdir()?;
     let clock = Clock::fast(SPEED);
     let spoon = || Box::new(FormulaSpoon::new(Flow { level_mg: 0.05, ..Flow::default() }, 1));
@@ -163,8 +177,9 @@ async fn in_laboratory(stops: Vec<u64>, clients: u64, attack: &[Attack]) -> anyh
 
     let (done, polls) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
     let machines = attacks::elsewhere()?;
-    let pollers: Vec<_> =
-        (0..clients).map(|k| machines.spawn(poll(service.clone(), done.clone(), polls.clone(), k))).collect();
+    let pollers: Vec<_> = (0..clients)
+        .map(|k| machines.spawn(poll(service.clone(), done.clone(), polls.clone(), k)))
+        .collect();
     let attackers = attacks::begin(attack, &service).await?;
     let (began, mut stopped) = (Instant::now(), Stopped::default());
     let all = async {
@@ -186,8 +201,10 @@ async fn in_laboratory(stops: Vec<u64>, clients: u64, attack: &[Attack]) -> anyh
 
 /// An honest client.
 async fn poll(service: Arc<Service>, done: Arc<AtomicBool>, polls: Arc<AtomicU64>, k: u64) {
-    let (client, path) =
-        (reqwest::Client::new(), ["/v1/weighings", "/v1/bench", "/v1/powders", "/v1/audit"][k as usize % 4]);
+    let (client, path) = (
+        reqwest::Client::new(),
+        ["/v1/weighings", "/v1/bench", "/v1/powders", "/v1/audit"][k as usize % 4],
+    );
     while !done.load(Ordering::Relaxed) {
         if let Ok(response) = client.get(format!("{}{path}", service.url)).send().await {
             let answered = response.status().is_success() && response.bytes().await.is_ok();
@@ -208,7 +225,12 @@ async fn calibrate(service: &Service) -> anyhow::Result<()> {
 }
 
 /// Sends a request of the operator that is not itself measured, and retries until it succeeds.
-async fn insist(service: &Service, path: &str, key: Option<String>, body: &Value) -> anyhow::Result<Value> {
+async fn insist(
+    service: &Service,
+    path: &str,
+    key: Option<String>,
+    body: &Value,
+) -> anyhow::Result<Value> {
     for _ in 0..600 {
         match service.post(path, key.clone(), body).await {
             // 409: a stop that came between two motions may have found nothing to hold.
@@ -230,7 +252,8 @@ async fn one_stop(
 ) -> anyhow::Result<()> {
     let mg = |value: f64| json!({"value": value, "unit": "mg"});
     let tolerance = json!({"lower": 1.0, "upper": 1.0, "unit": "mg"});
-    let body = json!({"powder": "sand", "target": mg(15.0), "tolerance": tolerance, "vial_check": "skip"});
+    let body =
+        json!({"powder": "sand", "target": mg(15.0), "tolerance": tolerance, "vial_check": "skip"});
     let weighing = insist(service, "/v1/weighings", Some(format!("stop-{stop}")), &body).await?;
     let id = weighing["id"].as_str().ok_or_else(|| anyhow::anyhow!("{weighing}"))?.to_owned();
     while !laboratory.arm.is_moving() {
@@ -245,15 +268,21 @@ async fn one_stop(
         stopped.refused += 1;
         insist(service, &path, None, &json!({})).await?;
     }
-    while service.get(&format!("/v1/weighings/{id}")).await.is_ok_and(|it| it["weighing"]["outcome"].is_null()) {
+    while service
+        .get(&format!("/v1/weighings/{id}"))
+        .await
+        .is_ok_and(|it| it["weighing"]["outcome"].is_null())
+    {
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
     // A stop holds the bench.
     insist(service, "/v1/bench/resume", None, &json!({"by": "the bench of stops"})).await?;
     let log = laboratory.arm.log();
-    let shaken =
-        |event: &&flip_bench::emulate::arm::Event| matches!(event.motion, Asked::Shake(_)) && event.ended.is_none();
-    stopped.shakes_after += log[seen..].iter().filter(shaken).filter(|event| event.at_s > sent_s).count() as u64;
+    let shaken = |event: &&flip_bench::emulate::arm::Event| {
+        matches!(event.motion, Asked::Shake(_)) && event.ended.is_none()
+    };
+    stopped.shakes_after +=
+        log[seen..].iter().filter(shaken).filter(|event| event.at_s > sent_s).count() as u64;
     match log[seen..].iter().find(|event| event.ended == Some(End::Stopped)) {
         Some(event) => stopped.latencies_ms.push((event.at_s - sent_s) / SPEED * 1000.0),
         None => stopped.idle += 1,

@@ -63,7 +63,9 @@ impl Caller {
             Self::Holder(holder) if holder.role >= role => Ok(()),
             Self::Holder(holder) => {
                 let (needed, held) = (name(role), name(holder.role));
-                Err(Problem::forbidden(format!("this needs the role {needed}; the token has {held}")))
+                Err(Problem::forbidden(format!(
+                    "this needs the role {needed}; the token has {held}"
+                )))
             }
         }
     }
@@ -124,7 +126,9 @@ pub struct Gate {
 pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next) -> Response {
     let caller = match request.headers().get(header::AUTHORIZATION).cloned() {
         Some(value) => holder(&gate.app, &value).await,
-        None => Ok(Caller::Anonymous { may_read: gate.loopback && is_loopback_name(authority(&request)) }),
+        None => Ok(Caller::Anonymous {
+            may_read: gate.loopback && is_loopback_name(authority(&request)),
+        }),
     };
     match caller {
         Ok(caller) => {
@@ -145,12 +149,16 @@ pub async fn on_behalf(request: Request, next: Next) -> Response {
 
 async fn holder(app: &App, authorization: &HeaderValue) -> Result<Caller, Problem> {
     let secret = authorization.to_str().ok().and_then(bearer);
-    let secret = secret.ok_or_else(|| Problem::unauthorized("write the header as Authorization: Bearer flip_..."))?;
+    let secret = secret.ok_or_else(|| {
+        Problem::unauthorized("write the header as Authorization: Bearer flip_...")
+    })?;
     let holder = match app.authenticate(secret) {
         Some(holder) => Some(holder),
         None => app.authenticate_late(secret).await,
     };
-    let holder = holder.ok_or_else(|| Problem::unauthorized("the token is not known, has expired or was revoked"))?;
+    let holder = holder.ok_or_else(|| {
+        Problem::unauthorized("the token is not known, has expired or was revoked")
+    })?;
     Ok(Caller::Holder(holder))
 }
 
@@ -170,7 +178,8 @@ fn authority(request: &Request) -> &str {
 pub async fn one_host(request: Request, next: Next) -> Response {
     let hosts = request.headers().get_all(header::HOST).iter().count();
     if hosts > 1 || hosts == 0 && request.version() == Version::HTTP_11 {
-        return Problem::malformed("a request names one host: send one Host header").into_response();
+        return Problem::malformed("a request names one host: send one Host header")
+            .into_response();
     }
     next.run(request).await
 }
@@ -188,7 +197,8 @@ pub async fn same_origin(request: Request, next: Next) -> Response {
 fn is_same_origin(headers: &HeaderMap, authority: &str) -> bool {
     let text = |name: &str| headers.get(name).map(|value| value.to_str().unwrap_or("unreadable"));
     let site_ok = matches!(text("sec-fetch-site"), None | Some("same-origin" | "none"));
-    let origin_ok = text("origin").is_none_or(|o| o.split_once("://").is_some_and(|(_, host)| host == authority));
+    let origin_ok = text("origin")
+        .is_none_or(|o| o.split_once("://").is_some_and(|(_, host)| host == authority));
     site_ok && origin_ok
 }
 

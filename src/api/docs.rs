@@ -24,16 +24,19 @@ fn file_of(path: &str, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response 
     let path = if path.is_empty() { "index.html" } else { path };
     match find(path) {
         Some(file) => serve(file, "no-cache"),
-        None if find("index.html").is_none() => {
-            (StatusCode::NOT_FOUND, "The documentation is not built: run make docs, then build again.\n")
-                .into_response()
-        }
-        None => Problem::not_found("the documentation has no such page; /docs/ lists all").into_response(),
+        None if find("index.html").is_none() => (
+            StatusCode::NOT_FOUND,
+            "The documentation is not built: run make docs, then build again.\n",
+        )
+            .into_response(),
+        None => Problem::not_found("the documentation has no such page; /docs/ lists all")
+            .into_response(),
     }
 }
 
 fn moved(to: &'static str) -> Response {
-    (StatusCode::PERMANENT_REDIRECT, [(header::LOCATION, HeaderValue::from_static(to))]).into_response()
+    (StatusCode::PERMANENT_REDIRECT, [(header::LOCATION, HeaderValue::from_static(to))])
+        .into_response()
 }
 
 #[cfg(test)]
@@ -45,7 +48,8 @@ mod tests {
     struct Any;
 
     fn built(name: &str) -> Option<EmbeddedFile> {
-        matches!(name, "index.html" | "tutorials/first-dose.html").then(|| Any::get("build.rs").unwrap())
+        matches!(name, "index.html" | "tutorials/first-dose.html")
+            .then(|| Any::get("build.rs").unwrap())
     }
 
     #[test]
@@ -62,6 +66,8 @@ mod tests {
     fn where_it_is_not_built_it_says_how() {
         let response = file_of("", |_| None);
         assert_eq!(response.status(), StatusCode::NOT_FOUND);
-        assert!(response.headers()[header::CONTENT_TYPE].to_str().unwrap().starts_with("text/plain"));
+        assert!(
+            response.headers()[header::CONTENT_TYPE].to_str().unwrap().starts_with("text/plain")
+        );
     }
 }

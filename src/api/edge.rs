@@ -30,7 +30,12 @@ pub async fn edge(request: Request, next: Next) -> Response {
     let grpc = grpc::is_grpc(request.headers());
     let method = request.method().clone();
     let own_route = request.extensions().get::<MatchedPath>().cloned();
-    let span = tracing::info_span!("request", id, method = counted(&method), route = tracing::field::Empty);
+    let span = tracing::info_span!(
+        "request",
+        id,
+        method = counted(&method),
+        route = tracing::field::Empty
+    );
 
     let started = Instant::now();
     let mut response = next.run(request).instrument(span.clone()).await;
@@ -44,7 +49,8 @@ pub async fn edge(request: Request, next: Next) -> Response {
     let seconds = started.elapsed().as_secs_f64();
     let status = response.status().as_u16();
     span.in_scope(|| tracing::debug!(status, seconds, "answered"));
-    let labels = [("method", counted(&method).to_owned()), ("route", route), ("status", status.to_string())];
+    let labels =
+        [("method", counted(&method).to_owned()), ("route", route), ("status", status.to_string())];
     metrics::counter!("flip_requests_total", &labels).increment(1);
     metrics::histogram!("flip_request_seconds", &labels).record(seconds);
     response
@@ -110,7 +116,10 @@ fn harden(headers: &mut HeaderMap, id: &str) {
 
 /// The response of a handler that panicked; the panic itself is logged.
 pub fn panicked(cause: Box<dyn std::any::Any + Send>) -> Response {
-    let text = cause.downcast_ref::<String>().map(String::as_str).or_else(|| cause.downcast_ref::<&str>().copied());
+    let text = cause
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| cause.downcast_ref::<&str>().copied());
     tracing::error!(panic = text.unwrap_or("of unknown cause"), "a request handler panicked");
     Problem::internal().into_response()
 }

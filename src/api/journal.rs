@@ -43,7 +43,9 @@ fn tell(event: &Event) {
     if event.topic.starts_with("weighing:") && event.kind == "state" {
         match serde_json::from_value::<Weighing>(event.data.clone()) {
             Ok(weighing) => dose(&weighing),
-            Err(error) => tracing::warn!(%error, topic = event.topic, "a weighing's event cannot be read"),
+            Err(error) => {
+                tracing::warn!(%error, topic = event.topic, "a weighing's event cannot be read")
+            }
         }
     }
 }
@@ -55,7 +57,11 @@ fn bench(kind: &str, data: &Value) {
     match kind {
         "latched" => {
             counter!("flip_bench_latches_total").increment(1);
-            tracing::warn!(weighing, reason = text("reason"), "the bench is latched until a person has looked");
+            tracing::warn!(
+                weighing,
+                reason = text("reason"),
+                "the bench is latched until a person has looked"
+            );
         }
         "cleared" => tracing::info!(by, note = text("note"), "the bench was cleared"),
         // Logged by the doses that change it.
@@ -90,7 +96,9 @@ fn dose(weighing: &Weighing) {
     let Some(outcome) = weighing.outcome else {
         let state = word(&weighing.state);
         return match weighing.state {
-            WeighingState::Armed => tracing::info!(weighing = id, powder, target_mg, lot, vial, "a dose begins"),
+            WeighingState::Armed => {
+                tracing::info!(weighing = id, powder, target_mg, lot, vial, "a dose begins")
+            }
             _ => tracing::info!(weighing = id, powder, target_mg, vial, "a dose is {state}"),
         };
     };
@@ -126,5 +134,8 @@ fn measure(weighing: &Weighing, outcome: String) {
 
 /// An enum's variant as written elsewhere in the API.
 pub(super) fn word(variant: &impl serde::Serialize) -> String {
-    serde_json::to_value(variant).ok().and_then(|json| json.as_str().map(str::to_owned)).unwrap_or_default()
+    serde_json::to_value(variant)
+        .ok()
+        .and_then(|json| json.as_str().map(str::to_owned))
+        .unwrap_or_default()
 }

@@ -55,7 +55,11 @@ struct Row {
 
 impl Row {
     fn new(seats: usize, queue: usize) -> Self {
-        Self { seats: Arc::new(Semaphore::new(seats)), queue: Semaphore::new(queue), full: Complaint::default() }
+        Self {
+            seats: Arc::new(Semaphore::new(seats)),
+            queue: Semaphore::new(queue),
+            full: Complaint::default(),
+        }
     }
 
     async fn take(&self) -> Option<OwnedSemaphorePermit> {
@@ -86,8 +90,9 @@ impl Seats {
         if let Some(seat) = row.take().await {
             return Ok(seat);
         }
-        row.full
-            .happened(1, move |refused| tracing::warn!(?class, refused, "all seats of a class of requests are taken"));
+        row.full.happened(1, move |refused| {
+            tracing::warn!(?class, refused, "all seats of a class of requests are taken")
+        });
         Err(Problem::unavailable("too many requests at once; try again in a moment"))
     }
 }
@@ -149,8 +154,7 @@ impl Open {
     fn refusal(&self, peer: IpAddr, anonymous: bool) -> Option<Problem> {
         let of_peer = self.by_peer.get(&peer).copied().unwrap_or(0);
         if !peer.is_loopback() && of_peer >= STREAMS_PEER {
-            let advice =
-                "streams of events are open from this address already: end some, or follow GET /v1/events once";
+            let advice = "streams of events are open from this address already: end some, or follow GET /v1/events once";
             return Some(Problem::too_many(format!("{STREAMS_PEER} {advice}")));
         }
         let full = self.all >= STREAMS || anonymous && self.anonymous >= STREAMS_ANONYMOUS;
@@ -191,7 +195,8 @@ mod tests {
         }
         let _all_places = seats.0[Class::Anonymous as usize].queue.try_acquire_many(256).unwrap();
         assert_eq!(seats.take(Class::Anonymous).await.unwrap_err().status, 503);
-        for class in [Class::Probe, Class::Reader, Class::Writer, Class::LongAnonymous, Class::Long] {
+        for class in [Class::Probe, Class::Reader, Class::Writer, Class::LongAnonymous, Class::Long]
+        {
             assert!(seats.take(class).await.is_ok(), "{class:?}");
         }
     }
@@ -212,7 +217,12 @@ mod tests {
         assert!(waiting.await.unwrap());
     }
 
-    fn refused(streams: &Streams, peer: [u8; 4], anonymous: bool, n: usize) -> (Vec<StreamSeat>, Option<u16>) {
+    fn refused(
+        streams: &Streams,
+        peer: [u8; 4],
+        anonymous: bool,
+        n: usize,
+    ) -> (Vec<StreamSeat>, Option<u16>) {
         let connection = Connection::new(IpAddr::from(peer), Instant::now());
         let mut seats = Vec::new();
         for _ in 0..n {

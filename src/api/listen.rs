@@ -100,9 +100,11 @@ impl ServeConfig {
 
 impl Tls {
     fn config(&self) -> Result<ServerConfig, Box<dyn std::error::Error + Send + Sync>> {
-        let certificates = CertificateDer::pem_file_iter(&self.certificate)?.collect::<Result<Vec<_>, _>>()?;
+        let certificates =
+            CertificateDer::pem_file_iter(&self.certificate)?.collect::<Result<Vec<_>, _>>()?;
         let key = PrivateKeyDer::from_pem_file(&self.key)?;
-        let mut config = ServerConfig::builder().with_no_client_auth().with_single_cert(certificates, key)?;
+        let mut config =
+            ServerConfig::builder().with_no_client_auth().with_single_cert(certificates, key)?;
         config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
         Ok(config)
     }
@@ -128,12 +130,20 @@ mod tests {
 
     #[test]
     fn only_names_of_this_machine_count_as_loopback() {
-        for name in ["localhost", "LOCALHOST:8080", "127.0.0.1:1", "127.9.9.9", "[::1]:8080", "[::1]"] {
+        for name in
+            ["localhost", "LOCALHOST:8080", "127.0.0.1:1", "127.9.9.9", "[::1]:8080", "[::1]"]
+        {
             assert!(is_loopback_name(name), "{name}");
         }
-        for name in
-            ["localhost.evil.example", "example.org:8080", "10.0.0.1", "127.0.0.1.nip.io", "evil@127.0.0.1", "", "a b"]
-        {
+        for name in [
+            "localhost.evil.example",
+            "example.org:8080",
+            "10.0.0.1",
+            "127.0.0.1.nip.io",
+            "evil@127.0.0.1",
+            "",
+            "a b",
+        ] {
             assert!(!is_loopback_name(name), "{name}");
         }
     }

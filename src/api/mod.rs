@@ -47,7 +47,11 @@ pub struct Server {
 ///
 /// # Errors
 /// As [`bind`] and [`Server::run`].
-pub async fn serve(app: App, config: ServeConfig, shutdown: impl Future<Output = ()> + Send) -> Result<(), ServeError> {
+pub async fn serve(
+    app: App,
+    config: ServeConfig,
+    shutdown: impl Future<Output = ()> + Send,
+) -> Result<(), ServeError> {
     bind(app, config)?.run(shutdown).await
 }
 
@@ -82,7 +86,8 @@ impl Server {
         let _ending = closing.clone().drop_guard();
         let tls = self.config.tls()?;
         let main = main_router(&self.app, closing.clone());
-        let router = front::router(self.app.clone(), self.config.is_loopback(), main, closing.clone());
+        let router =
+            front::router(self.app.clone(), self.config.is_loopback(), main, closing.clone());
         let front = Front::open(self.listener, tls, router, closing.clone())?;
         tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().keep_tokens()));
         tokio::spawn(journal::keep(self.app.clone(), closing.clone()));

@@ -31,11 +31,12 @@ pub async fn fallback(method: Method, uri: Uri, headers: HeaderMap) -> Response 
 /// Whether the caller explicitly accepts HTML; `*/*` alone is what programs send.
 fn takes_html(headers: &HeaderMap) -> bool {
     let accepted = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
-    let kinds =
-        accepted.flat_map(|value| value.split(',')).map(|kind| kind.split(';').next().unwrap_or_default().trim());
-    kinds
-        .into_iter()
-        .any(|kind| kind.eq_ignore_ascii_case("text/html") || kind.eq_ignore_ascii_case("application/xhtml+xml"))
+    let kinds = accepted
+        .flat_map(|value| value.split(','))
+        .map(|kind| kind.split(';').next().unwrap_or_default().trim());
+    kinds.into_iter().any(|kind| {
+        kind.eq_ignore_ascii_case("text/html") || kind.eq_ignore_ascii_case("application/xhtml+xml")
+    })
 }
 
 fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response {
@@ -43,7 +44,10 @@ fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFi
     if let Some(file) = find(path).filter(|_| !is_page) {
         // Vite puts a content hash in every file name below assets/.
         let hashed = path.starts_with("assets/");
-        return serve(file, if hashed { "public, max-age=31536000, immutable" } else { "no-cache" });
+        return serve(
+            file,
+            if hashed { "public, max-age=31536000, immutable" } else { "no-cache" },
+        );
     }
     if !is_page && !takes_html {
         return Problem::not_found("no such path; /openapi.json lists all").into_response();
@@ -54,16 +58,20 @@ fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFi
     }
     match find("index.html") {
         Some(page) => serve(page, "no-cache"),
-        None => (StatusCode::OK, "FLIP is running. The page is not built: run make web, then build again.\n")
+        None => (
+            StatusCode::OK,
+            "FLIP is running. The page is not built: run make web, then build again.\n",
+        )
             .into_response(),
     }
 }
 
 /// Serves a file with this cache policy.
 pub(super) fn serve(file: EmbeddedFile, cache: &'static str) -> Response {
-    let kind =
-        HeaderValue::from_str(file.metadata.mimetype()).unwrap_or(HeaderValue::from_static("application/octet-stream"));
-    let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, HeaderValue::from_static(cache))];
+    let kind = HeaderValue::from_str(file.metadata.mimetype())
+        .unwrap_or(HeaderValue::from_static("application/octet-stream"));
+    let headers =
+        [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, HeaderValue::from_static(cache))];
     (headers, Body::from(file.data)).into_response()
 }
 
@@ -89,7 +97,11 @@ mod tests {
         assert!(cache(&answer("assets/app-1a2b.js", false, built)).contains("immutable"));
         for path in ["", "index.html", "weighings/01890000"] {
             let response = answer(path, true, built);
-            assert_eq!((response.status(), cache(&response)), (StatusCode::OK, "no-cache"), "{path}");
+            assert_eq!(
+                (response.status(), cache(&response)),
+                (StatusCode::OK, "no-cache"),
+                "{path}"
+            );
         }
     }
 
@@ -107,8 +119,15 @@ mod tests {
             headers.insert(header::ACCEPT, HeaderValue::from_static(kinds));
             takes_html(&headers)
         };
-        assert!(accept("text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8") && accept("Text/HTML;q=0.5"));
-        assert!(!accept("*/*") && !accept("application/json, text/plain, */*") && !takes_html(&HeaderMap::new()));
+        assert!(
+            accept("text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8")
+                && accept("Text/HTML;q=0.5")
+        );
+        assert!(
+            !accept("*/*")
+                && !accept("application/json, text/plain, */*")
+                && !takes_html(&HeaderMap::new())
+        );
         for path in ["status", "info", ".well-known/openid-configuration", "weighings/01890000"] {
             let response = answer(path, false, built);
             assert_eq!(response.status(), StatusCode::NOT_FOUND, "{path}");
@@ -120,6 +139,8 @@ mod tests {
     fn without_a_built_page_the_root_says_how_to_build_it() {
         let response = answer("", false, |_| None);
         assert_eq!(response.status(), StatusCode::OK);
-        assert!(response.headers()[header::CONTENT_TYPE].to_str().unwrap().starts_with("text/plain"));
+        assert!(
+            response.headers()[header::CONTENT_TYPE].to_str().unwrap().starts_with("text/plain")
+        );
     }
 }

@@ -27,7 +27,10 @@ const BUCKETS: [(&str, &[f64]); 5] = [
 pub fn metrics(app: App) -> Router {
     recorder();
     let refused = async || Problem::method_not_allowed();
-    Router::new().route("/metrics", get(exposition)).with_state(app).method_not_allowed_fallback(refused)
+    Router::new()
+        .route("/metrics", get(exposition))
+        .with_state(app)
+        .method_not_allowed_fallback(refused)
 }
 
 /// `/healthz` and `/readyz`, which answer whatever the rest of the service does; `closing` is
@@ -57,9 +60,11 @@ async fn readiness(app: &App, extensions: &Extensions) -> Response {
 }
 
 async fn exposition(_: Viewer, State(app): State<App>) -> Result<impl IntoResponse, Problem> {
-    let recorder = recorder().ok_or_else(|| Problem::unavailable("another recorder holds this process's metrics"))?;
+    let recorder = recorder()
+        .ok_or_else(|| Problem::unavailable("another recorder holds this process's metrics"))?;
     recorder.run_upkeep();
-    let text = recorder.render() + &gauges(&app.counts().await?) + &of_the_bench(&app.bench().await?);
+    let text =
+        recorder.render() + &gauges(&app.counts().await?) + &of_the_bench(&app.bench().await?);
     Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text))
 }
 
@@ -71,7 +76,8 @@ fn gauges(counts: &Counts) -> String {
         format!("flip_jobs{{kind=\"{kind}\",state=\"{state}\"}} {n}\n")
     });
     let weighings = counts.weighings.iter().map(|((state, outcome), n)| {
-        let (state, outcome) = (word(state), outcome.map_or("none".to_owned(), |outcome| word(&outcome)));
+        let (state, outcome) =
+            (word(state), outcome.map_or("none".to_owned(), |outcome| word(&outcome)));
         format!("flip_weighings{{state=\"{state}\",outcome=\"{outcome}\"}} {n}\n")
     });
     let waits = counts
@@ -117,11 +123,15 @@ fn of_the_bench(bench: &BenchStatus) -> String {
 fn recorder() -> Option<&'static PrometheusHandle> {
     static RECORDER: OnceLock<Option<PrometheusHandle>> = OnceLock::new();
     let start = || {
-        let bounded = BUCKETS.iter().try_fold(PrometheusBuilder::new(), |builder, (name, bounds)| {
-            builder.set_buckets_for_metric(Matcher::Full((*name).to_owned()), bounds)
-        });
+        let bounded =
+            BUCKETS.iter().try_fold(PrometheusBuilder::new(), |builder, (name, bounds)| {
+                builder.set_buckets_for_metric(Matcher::Full((*name).to_owned()), bounds)
+            });
         let handle = bounded.ok()?.install_recorder().ok()?;
-        metrics::describe_counter!("flip_requests_total", "Requests answered, by method, route and status.");
+        metrics::describe_counter!(
+            "flip_requests_total",
+            "Requests answered, by method, route and status."
+        );
         metrics::describe_histogram!("flip_request_seconds", "Seconds to the head of the answer.");
         metrics::describe_histogram!(
             "flip_stop_seconds",
@@ -135,8 +145,14 @@ fn recorder() -> Option<&'static PrometheusHandle> {
             "flip_bench_latches_total",
             "Times that the bench was latched since the service started."
         );
-        metrics::describe_histogram!("flip_dose_error_mg", "Absolute error of doses that ran their course, mg.");
-        metrics::describe_histogram!("flip_dose_seconds", "Bench time of doses that ran their course, s.");
+        metrics::describe_histogram!(
+            "flip_dose_error_mg",
+            "Absolute error of doses that ran their course, mg."
+        );
+        metrics::describe_histogram!(
+            "flip_dose_seconds",
+            "Bench time of doses that ran their course, s."
+        );
         metrics::describe_histogram!("flip_dose_shakes", "Shakes of doses that ran their course.");
         Some(handle)
     };

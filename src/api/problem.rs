@@ -54,8 +54,15 @@ impl Problem {
     /// 400: invalid fields, with their bounds.
     pub fn invalid(errors: impl IntoIterator<Item = FieldError>) -> Self {
         let errors: Vec<_> = errors.into_iter().collect();
-        let detail = errors.iter().map(|e| format!("{} {}", e.field, e.message)).collect::<Vec<_>>().join("; ");
-        Self { errors, ..Self::new(StatusCode::BAD_REQUEST, "invalid", "The request is not valid", detail) }
+        let detail = errors
+            .iter()
+            .map(|e| format!("{} {}", e.field, e.message))
+            .collect::<Vec<_>>()
+            .join("; ");
+        Self {
+            errors,
+            ..Self::new(StatusCode::BAD_REQUEST, "invalid", "The request is not valid", detail)
+        }
     }
 
     /// 400: the request cannot be parsed.
@@ -81,7 +88,12 @@ impl Problem {
     /// 405: the path exists, the method does not.
     pub fn method_not_allowed() -> Self {
         let detail = "the Allow header lists the methods of this path";
-        Self::new(StatusCode::METHOD_NOT_ALLOWED, "method-not-allowed", "Method not allowed", detail)
+        Self::new(
+            StatusCode::METHOD_NOT_ALLOWED,
+            "method-not-allowed",
+            "Method not allowed",
+            detail,
+        )
     }
 
     /// 409: conflicts with the current state; `code` names how.
@@ -96,7 +108,12 @@ impl Problem {
 
     /// 408: a request that does not complete in time.
     pub fn too_slow(detail: impl Into<String>) -> Self {
-        Self::new(StatusCode::REQUEST_TIMEOUT, "too-slow", "The request did not come in time", detail)
+        Self::new(
+            StatusCode::REQUEST_TIMEOUT,
+            "too-slow",
+            "The request did not come in time",
+            detail,
+        )
     }
 
     /// 413: the body is larger than the service reads.
@@ -108,7 +125,12 @@ impl Problem {
     /// 415: not the content type the operation reads, such as `application/json`.
     pub fn unsupported_media_type(expected: &str) -> Self {
         let detail = format!("send the body as Content-Type: {expected}");
-        Self::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-media-type", "Unsupported media type", detail)
+        Self::new(
+            StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            "unsupported-media-type",
+            "Unsupported media type",
+            detail,
+        )
     }
 
     /// 422: an idempotency key was reused with another request.
@@ -128,7 +150,8 @@ impl Problem {
 
     /// 500: our fault; the cause is logged under the request's id.
     pub fn internal() -> Self {
-        let detail = "the request failed for a reason of ours; the log tells it under this instance";
+        let detail =
+            "the request failed for a reason of ours; the log tells it under this instance";
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "Internal error", detail)
     }
 
@@ -176,7 +199,10 @@ impl IntoResponse for Problem {
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(CONTENT_TYPE));
         if self.status() == StatusCode::UNAUTHORIZED {
-            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"flip\""));
+            headers.insert(
+                header::WWW_AUTHENTICATE,
+                HeaderValue::from_static("Bearer realm=\"flip\""),
+            );
         }
         if self.status() == StatusCode::SERVICE_UNAVAILABLE {
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static(RETRY_AFTER_S));

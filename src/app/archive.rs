@@ -22,10 +22,16 @@ impl App {
 }
 
 fn point_in_time(text: &str) -> std::result::Result<Timestamp, FieldError> {
-    let whole = if text.len() == "2026-11-26".len() { format!("{text}T00:00:00Z") } else { text.to_owned() };
+    let whole = if text.len() == "2026-11-26".len() {
+        format!("{text}T00:00:00Z")
+    } else {
+        text.to_owned()
+    };
     let read = Timestamp::deserialize(serde_json::Value::String(whole));
     read.map_err(|_| {
-        let advice = format!("must be a day such as 2026-11-26, or a time such as 2026-11-26T08:00:00Z, got `{text}`");
+        let advice = format!(
+            "must be a day such as 2026-11-26, or a time such as 2026-11-26T08:00:00Z, got `{text}`"
+        );
         FieldError::new("before", advice)
     })
 }

@@ -32,7 +32,11 @@ pub async fn back_up(data_dir: &Path, to: &Path) -> Result<Copied, BackupError> 
 ///
 /// # Errors
 /// [`BackupError`]; nothing is left behind.
-pub async fn restore(backup: &Path, data_dir: &Path, keep_tokens: bool) -> Result<Copied, BackupError> {
+pub async fn restore(
+    backup: &Path,
+    data_dir: &Path,
+    keep_tokens: bool,
+) -> Result<Copied, BackupError> {
     backup::restore(backup, data_dir, keep_tokens).await.map_err(BackupError::of)
 }
 
@@ -40,7 +44,9 @@ impl BackupError {
     fn of(error: StoreError) -> Self {
         let message = error.to_string();
         match error {
-            StoreError::Occupied(_) | StoreError::Absent(_) | StoreError::Newer(_) => Self::Refused(message),
+            StoreError::Occupied(_) | StoreError::Absent(_) | StoreError::Newer(_) => {
+                Self::Refused(message)
+            }
             _ => Self::Failed(message),
         }
     }

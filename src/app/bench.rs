@@ -168,9 +168,10 @@ impl App {
         }
         match bench.resume(by, &request.note, stops).await? {
             Change::Made => self.bench().await,
-            Change::Nothing => {
-                Err(Error::conflict("bench_not_held", "the bench is not held: there is nothing to resume"))
-            }
+            Change::Nothing => Err(Error::conflict(
+                "bench_not_held",
+                "the bench is not held: there is nothing to resume",
+            )),
             Change::Void => Err(stopped_meanwhile("look at it, and resume it again")),
         }
     }
@@ -188,7 +189,8 @@ impl App {
         let mut check = Check::default();
         let by = check_person(&mut check, &request.by, &request.note);
         if !request.looked {
-            check.refuse("looked", "must be true: look at spoon, vial and balance first".to_owned());
+            check
+                .refuse("looked", "must be true: look at spoon, vial and balance first".to_owned());
         }
         if !request.vial_ready {
             check.refuse("vial_ready", "must be true: empty or exchange the vial first".to_owned());
@@ -212,8 +214,10 @@ impl App {
             return Err(Error::conflict("bench_not_latched", advice));
         }
         if let Some(unwritten) = unwritten {
-            let advice =
-                format!("the end of weighing {} is not written down yet: {}", unwritten.weighing, unwritten.why);
+            let advice = format!(
+                "the end of weighing {} is not written down yet: {}",
+                unwritten.weighing, unwritten.why
+            );
             return Err(Error::conflict("ending_unwritten", advice));
         }
         let latch = bench.latch().await?;
@@ -261,7 +265,10 @@ impl App {
     ///
     /// # Errors
     /// `Invalid`
-    pub async fn check_repeatability(&self, request: RepeatabilityRequest) -> Result<Repeatability> {
+    pub async fn check_repeatability(
+        &self,
+        request: RepeatabilityRequest,
+    ) -> Result<Repeatability> {
         let RepeatabilityRequest { readings_mg, readability_mg } = request;
         if !(readability_mg.is_finite() && (1e-4..=1000.0).contains(&readability_mg)) {
             let advice = format!("must be from 0.0001 to 1000 mg, got {readability_mg}");
@@ -278,9 +285,13 @@ impl App {
     /// # Errors
     /// `Conflict` (`shakes_not_calibrated`).
     pub(super) async fn shakes(&self) -> Result<ShakeCalibration> {
-        let measured: Option<(_, ShakeCalibration)> = self.store().newest_check(CheckKind::Shakes).await?;
-        let advice = "the arm's shakes were not measured yet: run `flip bench calibrate-shake` first";
-        measured.map(|(_, calibration)| calibration).ok_or_else(|| Error::conflict("shakes_not_calibrated", advice))
+        let measured: Option<(_, ShakeCalibration)> =
+            self.store().newest_check(CheckKind::Shakes).await?;
+        let advice =
+            "the arm's shakes were not measured yet: run `flip bench calibrate-shake` first";
+        measured
+            .map(|(_, calibration)| calibration)
+            .ok_or_else(|| Error::conflict("shakes_not_calibrated", advice))
     }
 
     /// Stores the arm's actual shakes against the commanded ones; weighings command accordingly
@@ -312,7 +323,11 @@ impl App {
     ///
     /// # Errors
     /// `Invalid`
-    pub async fn audit(&self, weighing: Option<&str>, page: PageQuery) -> Result<Page<AuditRecord>> {
+    pub async fn audit(
+        &self,
+        weighing: Option<&str>,
+        page: PageQuery,
+    ) -> Result<Page<AuditRecord>> {
         Ok(self.store().audit_records(weighing, page.window(LIST_LIMIT_MAX)?).await?)
     }
 
@@ -320,7 +335,11 @@ impl App {
     ///
     /// # Errors
     /// `Internal`
-    pub async fn export_audit(&self, weighing: Option<&str>, mut take: impl FnMut(&AuditRecord)) -> Result<()> {
+    pub async fn export_audit(
+        &self,
+        weighing: Option<&str>,
+        mut take: impl FnMut(&AuditRecord),
+    ) -> Result<()> {
         let mut after = 0;
         loop {
             let records = self.store().audit_after(weighing, after).await?;
@@ -335,9 +354,12 @@ impl App {
     /// # Errors
     /// `Invalid`
     pub async fn verify_audit(&self, hash: Option<&str>) -> Result<AuditVerification> {
-        let is_hash = |text: &str| text.len() == 64 && text.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'));
+        let is_hash = |text: &str| {
+            text.len() == 64 && text.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'))
+        };
         if hash.is_some_and(|hash| !is_hash(hash)) {
-            let advice = "must be 64 hexadecimal digits in lower case, as a certificate prints them";
+            let advice =
+                "must be 64 hexadecimal digits in lower case, as a certificate prints them";
             return Err(FieldError::new("hash", advice).into());
         }
         Ok(self.store().verify_audit(hash).await?)
@@ -346,12 +368,16 @@ impl App {
 
 /// The refusal of a request made before a stop.
 pub(super) fn stopped_meanwhile(advice: &str) -> Error {
-    Error::conflict("stopped_meanwhile", format!("the bench was stopped after this was asked: {advice}"))
+    Error::conflict(
+        "stopped_meanwhile",
+        format!("the bench was stopped after this was asked: {advice}"),
+    )
 }
 
 /// The status of a bench, from memory.
 fn status(bench: &Bench) -> BenchStatus {
-    let Standing { latch, held, waiting, vial, repeatability, reservation, moving, unwritten } = bench.standing();
+    let Standing { latch, held, waiting, vial, repeatability, reservation, moving, unwritten } =
+        bench.standing();
     BenchStatus {
         kind: Some(bench.kind()),
         devices: bench.devices(),

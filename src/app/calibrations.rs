@@ -115,18 +115,26 @@ impl App {
         };
         let trials_max = request.trials_max.unwrap_or_else(|| settings.budget());
         let settings = Settings { trials_max, ..settings }.checked()?;
-        let design = (settings.method == Method::Emulator).then(|| Design::with_particles(settings.particles));
+        let design = (settings.method == Method::Emulator)
+            .then(|| Design::with_particles(settings.particles));
         let observations = self.observations_of(&request, settings.method).await?;
         let (under, simulator) = (extended.map(|it| it.0), SIMULATOR.to_owned());
-        let spec = CalibrationSpec { powder, target, observations, settings, design, under, simulator };
+        let spec =
+            CalibrationSpec { powder, target, observations, settings, design, under, simulator };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
     }
 
     /// Other measurements: those of the request, else those registered.
-    async fn observations_of(&self, request: &CalibrationRequest, method: Method) -> Result<Vec<Observation>> {
+    async fn observations_of(
+        &self,
+        request: &CalibrationRequest,
+        method: Method,
+    ) -> Result<Vec<Observation>> {
         let refuse = |message: &str| Err(FieldError::new("observations", message).into());
         let registered = match (&request.observations, &request.powder) {
-            (None, Some(powder)) if method == Method::Emulator => self.store().observations_now(powder).await?,
+            (None, Some(powder)) if method == Method::Emulator => {
+                self.store().observations_now(powder).await?
+            }
             _ => Vec::new(),
         };
         let given = request.observations.as_ref().unwrap_or(&registered);
@@ -137,15 +145,18 @@ impl App {
             return refuse("must be at most 8: name those that count, each costs minutes");
         }
         let checked = given.iter().enumerate().map(|(k, observation)| {
-            observation
-                .checked()
-                .map_err(|error| FieldError::new(format!("observations[{k}].{}", error.field), error.message))
+            observation.checked().map_err(|error| {
+                FieldError::new(format!("observations[{k}].{}", error.field), error.message)
+            })
         });
         Ok(checked.collect::<std::result::Result<_, _>>()?)
     }
 
     /// The target: a powder's measurement, or a bare angle.
-    async fn target_of(&self, request: &CalibrationRequest) -> Result<(Option<String>, Flowability)> {
+    async fn target_of(
+        &self,
+        request: &CalibrationRequest,
+    ) -> Result<(Option<String>, Flowability)> {
         let only_one = "name a powder, or a `repose_deg` to aim at without one, and not both";
         let stray = request.sd_deg.map(|_| "sd_deg").or(request.n.map(|_| "n"));
         match (&request.powder, request.repose_deg) {
@@ -156,14 +167,21 @@ impl App {
             (Some(id), None) => {
                 let powder = self.powder_of("powder", id).await?;
                 let target = powder.flowability.ok_or_else(|| {
-                    let advice = format!("`{id}` has no measurement: POST /v1/powders/{id}/measurements adds one");
+                    let advice = format!(
+                        "`{id}` has no measurement: POST /v1/powders/{id}/measurements adds one"
+                    );
                     Error::conflict("measurement_missing", advice)
                 })?;
                 Ok((Some(powder.id), target))
             }
-            (None, Some(repose_deg)) => {
-                Ok((None, Flowability::new(repose_deg, request.sd_deg.unwrap_or(0.0), request.n.unwrap_or(1))?))
-            }
+            (None, Some(repose_deg)) => Ok((
+                None,
+                Flowability::new(
+                    repose_deg,
+                    request.sd_deg.unwrap_or(0.0),
+                    request.n.unwrap_or(1),
+                )?,
+            )),
             _ => Err(FieldError::new("powder", only_one).into()),
         }
     }
@@ -187,7 +205,8 @@ impl App {
     pub async fn posterior(&self, id: &str) -> Result<Posterior> {
         let found = self.calibration(id).await?;
         let sha256 = found.result.and_then(|result| result.posterior).ok_or_else(|| {
-            let advice = "a calibration has a posterior when it has succeeded with the method `emulator`";
+            let advice =
+                "a calibration has a posterior when it has succeeded with the method `emulator`";
             Error::conflict("posterior_missing", advice.to_owned())
         })?;
         let lost = |error| Error::of_part("the posterior of this calibration", error);
@@ -225,14 +244,17 @@ fn at_reference(
 }
 
 fn calibration(row: JobRow) -> Result<Calibration> {
-    let JobSpec::Calibration(spec) = stored(&row.spec)? else { return Err(corrupt("a calibration's specification")) };
+    let JobSpec::Calibration(spec) = stored(&row.spec)? else {
+        return Err(corrupt("a calibration's specification"));
+    };
     Ok(Calibration {
         job: row.job,
         powder: spec.powder,
         target: spec.target,
         under: spec.under,
         observations: spec.observations,
-        settings: serde_json::to_value(spec.settings).map_err(|error| Error::Internal(error.into()))?,
+        settings: serde_json::to_value(spec.settings)
+            .map_err(|error| Error::Internal(error.into()))?,
         result: row.result.as_deref().map(stored).transpose()?,
     })
 }

@@ -111,12 +111,18 @@ impl<'a> Cell<'a> {
 ///
 /// # Errors
 /// Every invalid cell by row and column, up to 50; a missing or repeated column by name.
-pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> Result<CampaignRead> {
+pub(super) fn read(
+    text: &str,
+    required: &[&str],
+    dates: Option<DateOrder>,
+) -> Result<CampaignRead> {
     let columns = Columns { required, known, meant, most: COLUMNS_MAX };
     let table = Table::open(text, &columns, check_header)?;
-    let covariates = table.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
+    let covariates =
+        table.columns.iter().filter(|name| !OWN.contains(&name.as_str()) && !name.is_empty());
     let covariates: Vec<&str> = covariates.map(String::as_str).collect();
-    let (mut lines, mut powders, mut summaries) = (Vec::new(), PowderNames::default(), Summaries::of(&table));
+    let (mut lines, mut powders, mut summaries) =
+        (Vec::new(), PowderNames::default(), Summaries::of(&table));
     // Rows to be predicted are queries: all of them are answered, and duplicates are allowed.
     let is_campaign = required.contains(&ANGLE);
     let refusals = table.each(|cells| {
@@ -133,7 +139,8 @@ pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> R
     let (session, read) = conditions(&lines, &covariates, dates)?;
     let mut columns = own_columns(&table, &lines);
     columns.extend(session.column.clone());
-    columns.extend(covariates.iter().zip(&read).map(|(name, column)| column.told(name, lines.len())));
+    columns
+        .extend(covariates.iter().zip(&read).map(|(name, column)| column.told(name, lines.len())));
     columns.sort_by_key(|it| table.columns.iter().position(|name| *name == it.column));
     let read_as = FileRead {
         file: "measurements".to_owned(),
@@ -143,11 +150,18 @@ pub(super) fn read(text: &str, required: &[&str], dates: Option<DateOrder>) -> R
         left_out: summaries.told().into_iter().chain(left_out.told()).collect(),
         notes: left_out.note.into_iter().collect(),
     };
-    Ok(CampaignRead { campaign: campaign(&lines, &session.places, &covariates, read), read: read_as })
+    Ok(CampaignRead {
+        campaign: campaign(&lines, &session.places, &covariates, read),
+        read: read_as,
+    })
 }
 
 /// Sessions and covariates of the rows, or all errors in either.
-fn conditions(lines: &[Line<'_>], names: &[&str], dates: Option<DateOrder>) -> Result<(Sessions, Vec<Column>)> {
+fn conditions(
+    lines: &[Line<'_>],
+    names: &[&str],
+    dates: Option<DateOrder>,
+) -> Result<(Sessions, Vec<Column>)> {
     let (mut columns, mut refusals) = (Vec::new(), Vec::new());
     let rows: Vec<usize> = lines.iter().map(|line| line.row).collect();
     let cells: Vec<Cell<'_>> = lines.iter().map(|line| line.session).collect();
@@ -171,8 +185,8 @@ fn refused(mut refusals: Vec<FieldError>) -> Result<()> {
 }
 
 fn known(name: &str) -> Option<Holds> {
-    let is_number =
-        NUMBERS.iter().any(|(column, ..)| *column == name) || ["repose_deg", "repose_sd_deg", "n"].contains(&name);
+    let is_number = NUMBERS.iter().any(|(column, ..)| *column == name)
+        || ["repose_deg", "repose_sd_deg", "n"].contains(&name);
     match is_number {
         true => Some(Holds::Numbers),
         false => (OWN.contains(&name) || NAMES.contains(&name)).then_some(Holds::Text),
@@ -183,7 +197,8 @@ fn known(name: &str) -> Option<Holds> {
 /// without a unit may be in any.
 fn meant(letters: &str) -> Option<&'static str> {
     Some(match letters {
-        "date" | "day" | "sessiondate" | "measuredon" | "testdate" | "datum" | "tag" | "messtag" => "session",
+        "date" | "day" | "sessiondate" | "measuredon" | "testdate" | "datum" | "tag"
+        | "messtag" => "session",
         "rh"
         | "rhpct"
         | "rhpercent"
@@ -200,11 +215,10 @@ fn meant(letters: &str) -> Option<&'static str> {
         | "luftfeuchtigkeit"
         | "relativeluftfeuchte"
         | "relativeluftfeuchtigkeit" => humidity::COLUMN,
-        "tempc" | "temperaturec" | "roomtemperaturec" | "temperaturdegc" | "temperaturedegc" | "temperaturc" => {
-            "temperature_c"
-        }
-        "aor" | "angleofrepose" | "reposeangle" | "angleofreposedeg" | "reposeangledeg" | "aordeg" | "schüttwinkel"
-        | "böschungswinkel" => ANGLE,
+        "tempc" | "temperaturec" | "roomtemperaturec" | "temperaturdegc" | "temperaturedegc"
+        | "temperaturc" => "temperature_c",
+        "aor" | "angleofrepose" | "reposeangle" | "angleofreposedeg" | "reposeangledeg"
+        | "aordeg" | "schüttwinkel" | "böschungswinkel" => ANGLE,
         "material" | "substance" | "pulver" => "powder",
         _ => return None,
     })
@@ -218,9 +232,11 @@ fn slips(names: &[String], check: &mut Check) {
         let written = name.to_lowercase();
         let slips = (written.chars().count() / SLIP_CHARS).min(SLIPS_MAX);
         let mut missing = columns().filter(|column| !names.iter().any(|name| name == column));
-        if let Some(column) = missing.find(|column| strsim::osa_distance(&written, column) <= slips) {
-            let advice =
-                format!("is nearly `{column}`, which the file lacks: write that, or a name that is less like it");
+        if let Some(column) = missing.find(|column| strsim::osa_distance(&written, column) <= slips)
+        {
+            let advice = format!(
+                "is nearly `{column}`, which the file lacks: write that, or a name that is less like it"
+            );
             check.refuse(name, advice);
         }
     }
@@ -234,7 +250,9 @@ fn days_without_session(names: &[&str], lines: &[Line<'_>], refusals: &mut Vec<F
     }
     for (k, name) in names.iter().enumerate() {
         let mut filled = lines.iter().map(|line| line.cells[k]).filter(Cell::is_filled).peekable();
-        if filled.peek().is_some() && filled.all(|cell| matches!(cell.told, Told::Text(text) if day(text).is_some())) {
+        if filled.peek().is_some()
+            && filled.all(|cell| matches!(cell.told, Told::Text(text) if day(text).is_some()))
+        {
             let advice = "holds days, and no column is called `session`: call this one so, or differences between days pass for effects";
             refusals.push(FieldError::new(*name, advice));
         }
@@ -245,12 +263,17 @@ fn check_header(names: &[String], check: &mut Check) {
     slips(names, check);
     // As pandas renames duplicate columns, and as repeats stand side by side.
     for name in names.iter().filter(|name| is_again(name)) {
-        check.refuse(name, "is a column that stands twice, or a repeat beside another one: write one run a row");
+        check.refuse(
+            name,
+            "is a column that stands twice, or a repeat beside another one: write one run a row",
+        );
     }
     if !names.iter().all(|name| is_name(name)) {
         check.refuse(
             "header",
-            format!("holds a name of more than {NAME_CHARS_MAX} characters, or of more than one line"),
+            format!(
+                "holds a name of more than {NAME_CHARS_MAX} characters, or of more than one line"
+            ),
         );
     }
 }
@@ -268,7 +291,12 @@ fn is_name(name: &str) -> bool {
 }
 
 /// A row, if it is valid.
-fn line<'a>(cells: &Cells<'a>, covariates: &[&str], required: &[&str], powders: &mut PowderNames) -> Refused<Line<'a>> {
+fn line<'a>(
+    cells: &Cells<'a>,
+    covariates: &[&str],
+    required: &[&str],
+    powders: &mut PowderNames,
+) -> Refused<Line<'a>> {
     let row = cells.row;
     let mut check = Check::default();
     for column in required.iter().filter(|column| !cells.holds(column)) {
@@ -277,7 +305,9 @@ fn line<'a>(cells: &Cells<'a>, covariates: &[&str], required: &[&str], powders: 
     let powder = cells.holds("powder").then(|| powders.id_of(row, cells.text("powder")));
     let powder = powder.and_then(|id| check.keep(id));
     let angle = check.keep(angle(cells)).flatten();
-    for (column, lower, upper, unit) in NUMBERS.into_iter().filter(|(column, ..)| cells.holds(column)) {
+    for (column, lower, upper, unit) in
+        NUMBERS.into_iter().filter(|(column, ..)| cells.holds(column))
+    {
         // A value beyond the measuring range is not a measurement; leaving it out of the judged
         // quantity would be a selection.
         if column == FLOW || !matches!(cells.told(column), Told::Limit(_)) {
@@ -288,16 +318,26 @@ fn line<'a>(cells: &Cells<'a>, covariates: &[&str], required: &[&str], powders: 
         check.text(&format!("row[{row}].{column}"), cells.text(column), NAME_CHARS_MAX);
     }
     if words::method(cells.text("method")).is_none() {
-        check.keep::<()>(Err(at(row, "method", format!("must be camera or manual, got `{}`", cells.text("method")))));
+        check.keep::<()>(Err(at(
+            row,
+            "method",
+            format!("must be camera or manual, got `{}`", cells.text("method")),
+        )));
     }
     if cells.holds("ioniser_on") && yes_or_no(cells.text("ioniser_on")).is_none() {
-        let advice =
-            format!("must be yes or no, also 1, 0, true, false, on and off, got `{}`", cells.text("ioniser_on"));
+        let advice = format!(
+            "must be yes or no, also 1, 0, true, false, on and off, got `{}`",
+            cells.text("ioniser_on")
+        );
         check.keep::<()>(Err(at(row, "ioniser_on", advice)));
     }
     check.refusals()?;
     let named = |column: &str, text| {
-        if cells.holds(column) { Cell { text, told: Told::Text(text) } } else { Cell::of(cells, column) }
+        if cells.holds(column) {
+            Cell { text, told: Told::Text(text) }
+        } else {
+            Cell::of(cells, column)
+        }
     };
     let cell = |column: &&str| match *column {
         "ioniser_on" => named(column, yes_or_no(cells.text(column)).unwrap_or_default()),
@@ -331,18 +371,24 @@ fn angle(cells: &Cells<'_>) -> std::result::Result<Option<Flowability>, FieldErr
         return Ok(None);
     }
     let repose_deg = within(cells, "repose_deg", 5.0, 85.0, "deg")?;
-    let sd_deg = cells.holds("repose_sd_deg").then(|| within(cells, "repose_sd_deg", 0.0, 45.0, "deg")).transpose()?;
+    let sd_deg = cells
+        .holds("repose_sd_deg")
+        .then(|| within(cells, "repose_sd_deg", 0.0, 45.0, "deg"))
+        .transpose()?;
     let refused = |column, advice: &str| Err(at(cells.row, column, advice));
     match (cells.repeats("n")?, sd_deg) {
         (None, None) | (Some(1), _) => Ok(Some(Flowability { repose_deg, sd_deg: 0.0, n: 1 })),
-        (Some(n @ 2..=REPEATS_MAX), Some(sd_deg)) => Ok(Some(Flowability { repose_deg, sd_deg, n })),
+        (Some(n @ 2..=REPEATS_MAX), Some(sd_deg)) => {
+            Ok(Some(Flowability { repose_deg, sd_deg, n }))
+        }
         (Some(2..=REPEATS_MAX), None) => {
             refused("repose_sd_deg", "is missing: a summary needs the SD over its repeats")
         }
         (Some(_), _) => refused("n", &format!("must be from 1 to {REPEATS_MAX} repeats")),
-        (None, Some(_)) => {
-            refused("repose_sd_deg", "belongs to a summary: fill `n` too, or leave it empty for a single run")
-        }
+        (None, Some(_)) => refused(
+            "repose_sd_deg",
+            "belongs to a summary: fill `n` too, or leave it empty for a single run",
+        ),
     }
 }
 
@@ -370,7 +416,8 @@ fn bounded(lines: &[Line<'_>]) -> Result<()> {
 
 /// How the columns of the run itself were interpreted, except for its session.
 fn own_columns(table: &Table, lines: &[Line<'_>]) -> Vec<ColumnRead> {
-    let own = table.columns.iter().filter(|name| OWN.contains(&name.as_str()) && *name != "session");
+    let own =
+        table.columns.iter().filter(|name| OWN.contains(&name.as_str()) && *name != "session");
     own.map(|name| {
         let is_filled = |line: &&Line<'_>| match name.as_str() {
             FLOW => line.flow_time_s.is_some(),
@@ -381,12 +428,23 @@ fn own_columns(table: &Table, lines: &[Line<'_>]) -> Vec<ColumnRead> {
         let filled = lines.iter().filter(is_filled).count();
         let taken_as = if name == "powder" { TakenAs::Subject } else { TakenAs::Measured };
         let missing = (lines.len() - filled) as u32;
-        ColumnRead { column: name.clone(), taken_as, filled: filled as u32, missing, note: String::new() }
+        ColumnRead {
+            column: name.clone(),
+            taken_as,
+            filled: filled as u32,
+            missing,
+            note: String::new(),
+        }
     })
     .collect()
 }
 
-fn campaign(lines: &[Line<'_>], sessions: &[usize], names: &[&str], columns: Vec<Column>) -> Campaign {
+fn campaign(
+    lines: &[Line<'_>],
+    sessions: &[usize],
+    names: &[&str],
+    columns: Vec<Column>,
+) -> Campaign {
     let mut powders: Vec<String> = Vec::new();
     let mut runs = Vec::new();
     for (line, session) in lines.iter().zip(sessions) {
@@ -398,7 +456,11 @@ fn campaign(lines: &[Line<'_>], sessions: &[usize], names: &[&str], columns: Vec
         let run = |repose_deg| Run { row: line.row as u32, powder, session: *session, repose_deg };
         match line.angle {
             Some(angle) => {
-                runs.extend(repeats_of(angle.repose_deg, angle.sd_deg, angle.n).into_iter().map(|deg| run(Some(deg))));
+                runs.extend(
+                    repeats_of(angle.repose_deg, angle.sd_deg, angle.n)
+                        .into_iter()
+                        .map(|deg| run(Some(deg))),
+                );
             }
             None => runs.push(run(None)),
         }
@@ -407,7 +469,8 @@ fn campaign(lines: &[Line<'_>], sessions: &[usize], names: &[&str], columns: Vec
     let covariate = |(name, column): (&&str, Column)| {
         column.values(&repeats).map(|values| Covariate { name: (*name).to_owned(), values })
     };
-    let times = lines.iter().flat_map(|line| (0..line.runs()).map(|k| line.flow_time_s.filter(|_| k == 0)));
+    let times =
+        lines.iter().flat_map(|line| (0..line.runs()).map(|k| line.flow_time_s.filter(|_| k == 0)));
     let flow_time_s: Vec<Option<f64>> = times.collect();
     Campaign {
         powders,

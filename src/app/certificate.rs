@@ -10,7 +10,8 @@ use flip_store::weighings::Weighing;
 use std::fmt::Write;
 
 /// Content security policy: the page's own style, and nothing else.
-pub const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
+pub const POLICY: &str =
+    "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:46rem;padding:0 1rem;color:#111;background:#fff}\
 h1{font-size:1.4rem;margin:0}h2{font-size:1rem;margin:1.6rem 0 .3rem}table{border-collapse:collapse;width:100%}\
@@ -26,7 +27,8 @@ impl App {
     pub async fn certificate(&self, id: &str) -> Result<String> {
         let mut detail = self.weighing(id).await?;
         if detail.weighing.outcome.is_none() {
-            let advice = format!("weighing {id} has not ended: its certificate can be printed when it has");
+            let advice =
+                format!("weighing {id} has not ended: its certificate can be printed when it has");
             return Err(Error::conflict("weighing_unfinished", advice));
         }
         let mut record = Recorded::default();
@@ -43,7 +45,8 @@ impl App {
     /// The recorded outcome of a weighing that has ended; `None` for weighings that predate the
     /// record.
     async fn outcome_on_record(&self, id: &str) -> Result<Option<Weighing>> {
-        let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        let row =
+            self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         match self.store().outcome_on_record(&row).await? {
             (None, said) => Ok(said),
             (Some(changed), _) => {
@@ -90,7 +93,10 @@ impl Recorded {
     fn rows(&self) -> Vec<(&'static str, String)> {
         let mut rows = vec![("Records of this weighing", self.records.to_string())];
         rows.extend(self.last.iter().flat_map(|last| {
-            [("Last record", format!("{} of {}", last.seq, last.at)), ("Hash up to there", last.hash.clone())]
+            [
+                ("Last record", format!("{} of {}", last.seq, last.at)),
+                ("Hash up to there", last.hash.clone()),
+            ]
         }));
         rows.extend(self.asked_by.iter().map(|who| ("Asked for with the token of", who.clone())));
         rows
@@ -128,7 +134,8 @@ fn section(body: &mut String, title: &str, rows: &[(&str, String)]) {
     }
     let _infallible = write!(body, "<h2>{title}</h2><table>");
     for (name, value) in rows {
-        let _infallible = write!(body, "<tr><th scope=\"row\">{name}</th><td>{}</td></tr>", escaped(value));
+        let _infallible =
+            write!(body, "<tr><th scope=\"row\">{name}</th><td>{}</td></tr>", escaped(value));
     }
     body.push_str("</table>");
 }
@@ -138,9 +145,15 @@ fn result(weighing: &Weighing) -> String {
     let powder = escaped(&weighing.powder);
     match (&weighing.measured, weighing.reading_mg) {
         (Some(measured), _) => {
-            format!("{} mg ± {} mg of {powder}", digits(measured.net_mg), digits(measured.uncertainty_mg))
+            format!(
+                "{} mg ± {} mg of {powder}",
+                digits(measured.net_mg),
+                digits(measured.uncertainty_mg)
+            )
         }
-        (None, Some(reading_mg)) => format!("{} mg of {powder}, by the final reading", digits(reading_mg)),
+        (None, Some(reading_mg)) => {
+            format!("{} mg of {powder}, by the final reading", digits(reading_mg))
+        }
         (None, None) => format!("no mass of {powder} was measured"),
     }
 }
@@ -151,7 +164,10 @@ fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
     all.extend(detail.trace_lost.clone());
     all.extend(record.lost.iter().map(|why| format!("A part of its record is lost: {why}.")));
     if record.unrecorded {
-        all.push("It ended before FLIP kept a record: what is printed here is proven by nothing.".to_owned());
+        all.push(
+            "It ended before FLIP kept a record: what is printed here is proven by nothing."
+                .to_owned(),
+        );
     }
     all
 }
@@ -162,12 +178,18 @@ fn warnings(weighing: &Weighing) -> Vec<String> {
     let told = |outcome: Outcome| match outcome {
         Outcome::Within => None,
         Outcome::Under => Some("The dose is short of the target beyond its tolerance."),
-        Outcome::Over => Some("The dose is above the target beyond its tolerance: powder cannot be taken back."),
-        Outcome::NotStable => Some("The balance did not come to rest: the mass is not to be relied on."),
+        Outcome::Over => {
+            Some("The dose is above the target beyond its tolerance: powder cannot be taken back.")
+        }
+        Outcome::NotStable => {
+            Some("The balance did not come to rest: the mass is not to be relied on.")
+        }
         Outcome::Blocked => Some("Nothing more left the spoon."),
         Outcome::Stopped => Some("The weighing was stopped."),
         Outcome::Aborted => Some("The weighing was aborted."),
-        Outcome::Unknown => Some("The process ended during the weighing: what lies in the vial is not known."),
+        Outcome::Unknown => {
+            Some("The process ended during the weighing: what lies in the vial is not known.")
+        }
     };
     all.extend(weighing.outcome.and_then(told).map(str::to_owned));
     all.extend(weighing.error.clone());
@@ -187,7 +209,10 @@ fn warnings(weighing: &Weighing) -> Vec<String> {
             _ => {}
         }
         if !(measured.stable_by_balance && measured.stable_by_window) {
-            all.push("The last reading was not stable by both the balance's flag and our own window.".to_owned());
+            all.push(
+                "The last reading was not stable by both the balance's flag and our own window."
+                    .to_owned(),
+            );
         }
     }
     all
@@ -199,7 +224,11 @@ fn asked(weighing: &Weighing) -> Vec<(&'static str, String)> {
         ("Target", format!("{} mg", digits(weighing.target_mg))),
         (
             "Tolerance",
-            format!("-{} / +{} mg", digits(weighing.tolerance_lower_mg), digits(weighing.tolerance_upper_mg)),
+            format!(
+                "-{} / +{} mg",
+                digits(weighing.tolerance_lower_mg),
+                digits(weighing.tolerance_upper_mg)
+            ),
         ),
     ];
     let asked = &weighing.asked;
@@ -217,7 +246,8 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
     let mut rows = vec![("Outcome", outcome(weighing))];
     let Some(it) = &weighing.measured else { return rows };
     let mg = |value: Option<f64>| {
-        value.map_or_else(|| "not told by the balance".to_owned(), |mg| format!("{} mg", digits(mg)))
+        value
+            .map_or_else(|| "not told by the balance".to_owned(), |mg| format!("{} mg", digits(mg)))
     };
     rows.extend([
         ("Gross", mg(it.gross_mg)),
@@ -227,15 +257,19 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
         ("Expanded uncertainty (k = 2)", format!("{} mg", digits(it.uncertainty_mg))),
         (
             "Minimum weight",
-            it.minimum_mg
-                .map_or_else(|| "not known: no repeatability check".to_owned(), |mg| format!("{} mg", digits(mg))),
+            it.minimum_mg.map_or_else(
+                || "not known: no repeatability check".to_owned(),
+                |mg| format!("{} mg", digits(mg)),
+            ),
         ),
         (
             "Stable by the balance / by our window",
             format!("{} / {}", yes(it.stable_by_balance), yes(it.stable_by_window)),
         ),
     ]);
-    rows.extend(weighing.error_mg.map(|mg| ("Error (net less target)", format!("{} mg", digits(mg)))));
+    rows.extend(
+        weighing.error_mg.map(|mg| ("Error (net less target)", format!("{} mg", digits(mg)))),
+    );
     rows.extend(drift(it));
     rows.extend(weighing.shakes.map(|n| ("Shakes", n.to_string())));
     rows.extend(weighing.seconds.map(|s| ("Time on the bench", format!("{s:.1} s"))));
@@ -305,10 +339,15 @@ mod tests {
             "parameter_set": "ps", "seed": 1, "state": "done", "outcome": "within", "dispensed_mg": 8.2, "reading_mg": 9.3, "error_mg": -0.7,
             "shakes": 3, "seconds": 40.0, "error": null, "created_at": "2026-11-26T01:00:00.000Z", "started_at": null, "finished_at": null,
         });
-        let (Value::Object(all_fields), Value::Object(fields)) = (&mut all, weighing) else { panic!("objects") };
+        let (Value::Object(all_fields), Value::Object(fields)) = (&mut all, weighing) else {
+            panic!("objects")
+        };
         all_fields.extend(fields);
         let weighing = serde_json::from_value(all).unwrap();
-        html(&WeighingDetail { weighing, ticks: Vec::new(), trace_lost: None }, &Recorded::default())
+        html(
+            &WeighingDetail { weighing, ticks: Vec::new(), trace_lost: None },
+            &Recorded::default(),
+        )
     }
 
     fn measured(proven: bool) -> Value {
@@ -321,21 +360,26 @@ mod tests {
     fn a_certificate_says_what_is_not_proven_and_its_error_is_that_of_the_reading() {
         let (open, proven) = (page(measured(false)), page(measured(true)));
         assert!(
-            open.contains("within, not proven") && open.contains("Not proven: with its uncertainty of 0.9 mg"),
+            open.contains("within, not proven")
+                && open.contains("Not proven: with its uncertainty of 0.9 mg"),
             "{open}"
         );
-        assert!(open.contains("9.3 mg ± 0.9 mg") && open.contains("-0.7 mg") && !open.contains("8.2"), "{open}");
+        assert!(
+            open.contains("9.3 mg ± 0.9 mg") && open.contains("-0.7 mg") && !open.contains("8.2"),
+            "{open}"
+        );
         assert!(!proven.to_lowercase().contains("not proven"), "{proven}");
     }
 
     #[test]
     fn an_aborted_dose_has_no_mass_on_its_certificate() {
         let cause = "the arm stopped; the balance last showed 4 mg, which does not say what lies in the vial";
-        let gone =
-            json!({ "state": "aborted", "outcome": "aborted", "reading_mg": null, "error_mg": null, "error": cause });
+        let gone = json!({ "state": "aborted", "outcome": "aborted", "reading_mg": null, "error_mg": null, "error": cause });
         let page = page(gone);
         assert!(
-            page.contains("no mass of salt was measured") && page.contains(cause) && !page.contains("0 mg of salt"),
+            page.contains("no mass of salt was measured")
+                && page.contains(cause)
+                && !page.contains("0 mg of salt"),
             "{page}"
         );
     }

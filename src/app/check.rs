@@ -19,7 +19,12 @@ impl Check {
     pub fn text(&mut self, field: &str, text: &str, chars_max: usize) {
         let length = text.chars().count();
         if text.trim().is_empty() || length > chars_max || text.chars().any(char::is_control) {
-            self.refuse(field, format!("must be 1 to {chars_max} characters without control characters, got {length}"));
+            self.refuse(
+                field,
+                format!(
+                    "must be 1 to {chars_max} characters without control characters, got {length}"
+                ),
+            );
         }
     }
 
@@ -33,7 +38,10 @@ impl Check {
     /// Checks that a whole number is within bounds.
     pub fn count(&mut self, field: &str, value: u32, lower: u32, upper: u32) {
         if !(lower..=upper).contains(&value) {
-            self.refuse(field, format!("must be a whole number from {lower} to {upper}, got {value}"));
+            self.refuse(
+                field,
+                format!("must be a whole number from {lower} to {upper}, got {value}"),
+            );
         }
     }
 

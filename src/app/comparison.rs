@@ -86,8 +86,10 @@ impl Comparison {
     fn of(calibration: ComparedCalibration, with: ComparedCalibration) -> Self {
         let both = |a: Option<f64>, b: Option<f64>| Some((a?, b?));
         let difference_deg = both(calibration.repose_deg, with.repose_deg).map(|(a, b)| a - b);
-        let standard_error_deg = both(calibration.standard_error_deg, with.standard_error_deg).map(|(a, b)| a.hypot(b));
-        let agree = both(difference_deg, standard_error_deg).map(|(difference, error)| difference.abs() <= 2.0 * error);
+        let standard_error_deg =
+            both(calibration.standard_error_deg, with.standard_error_deg).map(|(a, b)| a.hypot(b));
+        let agree = both(difference_deg, standard_error_deg)
+            .map(|(difference, error)| difference.abs() <= 2.0 * error);
         Self { calibration, with, difference_deg, standard_error_deg, agree }
     }
 }
@@ -95,7 +97,10 @@ impl Comparison {
 fn side(calibration: Calibration) -> Result<ComparedCalibration> {
     let Calibration { job, powder, target, settings, result, .. } = calibration;
     let result: CalibrationResult = result.ok_or_else(|| {
-        let advice = format!("calibration {} has no result: only those that have succeeded can be compared", job.id);
+        let advice = format!(
+            "calibration {} has no result: only those that have succeeded can be compared",
+            job.id
+        );
         Error::conflict("calibration_unfinished", advice)
     })?;
     let method = settings.get("method").cloned().unwrap_or_default();
@@ -150,7 +155,12 @@ mod tests {
     use super::*;
     use flip_core::domain::parameters::ParameterSet;
 
-    fn set(repose_deg: f64, repose_sd_deg: Option<f64>, runs: u32, friction: f64) -> CalibrationSet {
+    fn set(
+        repose_deg: f64,
+        repose_sd_deg: Option<f64>,
+        runs: u32,
+        friction: f64,
+    ) -> CalibrationSet {
         let mut values = ParameterSet::default().values();
         values[4] = friction;
         let parameters = ParameterSet::new(values).unwrap();
@@ -178,7 +188,9 @@ mod tests {
             sets: sets.len() as u32,
             verified_error_deg: None,
             verified_sd_deg: None,
-            repose_deg: Some(sets.iter().map(|set| set.repose_deg).sum::<f64>() / sets.len() as f64),
+            repose_deg: Some(
+                sets.iter().map(|set| set.repose_deg).sum::<f64>() / sets.len() as f64,
+            ),
             standard_error_deg: standard_error_deg(sets),
             parameters: spreads(sets),
         }
@@ -190,7 +202,10 @@ mod tests {
         let sets = [set(30.0, Some(2.0), 4, 0.2), set(31.0, Some(2.0), 4, 0.6)];
         assert!((standard_error_deg(&sets).unwrap() - 0.5_f64.sqrt()).abs() < 1e-12);
         assert_eq!(standard_error_deg(&[]), None);
-        assert_eq!(standard_error_deg(&[set(30.0, Some(2.0), 4, 0.2), set(30.0, None, 1, 0.2)]), None);
+        assert_eq!(
+            standard_error_deg(&[set(30.0, Some(2.0), 4, 0.2), set(30.0, None, 1, 0.2)]),
+            None
+        );
         let friction = &spreads(&sets)[4];
         assert_eq!((friction.key.as_str(), friction.lower, friction.upper), ("friction", 0.2, 0.6));
         assert!((friction.mean - 0.4).abs() < 1e-12);
@@ -201,8 +216,14 @@ mod tests {
         // Joint standard error: sqrt(0.3^2 + 0.4^2) = 0.5.
         let at = |angle: f64, error: Option<f64>| compared(&[set(angle, error, 1, 0.2)]);
         let agree = |angle| Comparison::of(at(30.0, Some(0.3)), at(angle, Some(0.4))).agree;
-        assert_eq!([agree(30.99), agree(31.01), agree(29.01), agree(28.99)], [true, false, true, false].map(Some));
+        assert_eq!(
+            [agree(30.99), agree(31.01), agree(29.01), agree(28.99)],
+            [true, false, true, false].map(Some)
+        );
         let unknown = Comparison::of(at(30.0, None), at(30.0, Some(0.4)));
-        assert_eq!((unknown.difference_deg, unknown.standard_error_deg, unknown.agree), (Some(0.0), None, None));
+        assert_eq!(
+            (unknown.difference_deg, unknown.standard_error_deg, unknown.agree),
+            (Some(0.0), None, None)
+        );
     }
 }

@@ -58,8 +58,9 @@ impl App {
         if let Some(id) = version.filter(|id| *id != SIMULATOR)
             && self.store().simulator(id).await?.is_none()
         {
-            let advice =
-                format!("must be `{BASE}` or a version that is there, got `{id}`: `flip discover versions` lists them");
+            let advice = format!(
+                "must be `{BASE}` or a version that is there, got `{id}`: `flip discover versions` lists them"
+            );
             return Err(FieldError::new("simulator", advice).into());
         }
         let mut tx = self.store().write().await?;

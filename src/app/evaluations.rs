@@ -111,7 +111,8 @@ impl App {
         }
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
-        let mut controllers = request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec());
+        let mut controllers =
+            request.controllers.unwrap_or_else(|| CONTROLLERS.map(str::to_owned).to_vec());
         if request.policy.is_some() && !controllers.iter().any(|name| name == POLICY) {
             controllers.insert(0, POLICY.to_owned());
         }
@@ -125,7 +126,9 @@ impl App {
         let mut subjects = Vec::new();
         for (k, id) in powders.iter().enumerate() {
             let id = self.powder_of(&format!("powders[{k}]"), id).await?.id;
-            let day = extended.as_ref().map(|(under, extended)| extended.at(Some(&id), &under.conditions));
+            let day = extended
+                .as_ref()
+                .map(|(under, extended)| extended.at(Some(&id), &under.conditions));
             let patch = day.transpose().map_err(Error::Invalid)?.unwrap_or_default();
             let sets = self.sets_to_weigh(&id, weighs.then_some(&policy), simulator).await?;
             within_the_spoon(&id, &targets_mg, &sets, &conditions)?;
@@ -156,7 +159,11 @@ impl App {
         let named = named.or_else(|| (!weighs).then_some(shipped().id.as_str()));
         if let Some(id) = named {
             return self.store().policy(id).await?.ok_or_else(|| {
-                FieldError::new("policy", format!("there is no policy `{id}`: GET /v1/policies lists them")).into()
+                FieldError::new(
+                    "policy",
+                    format!("there is no policy `{id}`: GET /v1/policies lists them"),
+                )
+                .into()
             });
         }
         let newest = self.store().policies(PageQuery::first(1).window(1)?).await?.items;
@@ -204,7 +211,10 @@ fn checked(request: &EvaluationRequest) -> Result<Conditions> {
     check.keep(bounded("readability_mg", request.readability_mg.unwrap_or(1.0), 0.01, 10.0, "mg"));
     for (k, name) in request.controllers.iter().flatten().enumerate() {
         if !CONTROLLERS.contains(&name.as_str()) {
-            check.refuse(&format!("controllers[{k}]"), format!("must be one of {}", CONTROLLERS.join(", ")));
+            check.refuse(
+                &format!("controllers[{k}]"),
+                format!("must be one of {}", CONTROLLERS.join(", ")),
+            );
         }
     }
     for (k, target) in request.targets_mg.iter().flatten().enumerate() {
@@ -217,25 +227,39 @@ fn checked(request: &EvaluationRequest) -> Result<Conditions> {
     ];
     for (field, length) in lengths {
         if length.is_some_and(|length| !(1..=LIST_MAX).contains(&length)) {
-            check.refuse(field, format!("must hold 1 to {LIST_MAX} entries; leave it out for the default"));
+            check.refuse(
+                field,
+                format!("must hold 1 to {LIST_MAX} entries; leave it out for the default"),
+            );
         }
     }
-    let conditions = Conditions::named(request.particles, &request.extensions).unwrap_or_else(|errors| {
-        errors.into_iter().for_each(|error| check.refuse(&error.field, error.message));
-        Conditions::default()
-    });
-    let conditions = conditions.with_spoon(request.spoon.unwrap_or_default()).unwrap_or_else(|error| {
-        check.refuse(&error.field, error.message);
-        conditions
-    });
+    let conditions =
+        Conditions::named(request.particles, &request.extensions).unwrap_or_else(|errors| {
+            errors.into_iter().for_each(|error| check.refuse(&error.field, error.message));
+            Conditions::default()
+        });
+    let conditions =
+        conditions.with_spoon(request.spoon.unwrap_or_default()).unwrap_or_else(|error| {
+            check.refuse(&error.field, error.message);
+            conditions
+        });
     check.done()?;
     Ok(conditions)
 }
 
-fn within_the_spoon(powder: &str, targets_mg: &[f64], sets: &[CalibratedSet], conditions: &Conditions) -> Result<()> {
-    let Some(capacity_mg) = conditions.spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else { return Ok(()) };
+fn within_the_spoon(
+    powder: &str,
+    targets_mg: &[f64],
+    sets: &[CalibratedSet],
+    conditions: &Conditions,
+) -> Result<()> {
+    let Some(capacity_mg) = conditions.spoon_holds_mg(sets.iter().map(|set| &set.parameters))
+    else {
+        return Ok(());
+    };
     let mut check = Check::default();
-    for (k, target_mg) in targets_mg.iter().enumerate().filter(|(_, target)| **target > capacity_mg) {
+    for (k, target_mg) in targets_mg.iter().enumerate().filter(|(_, target)| **target > capacity_mg)
+    {
         let field = format!("targets_mg[{k}]");
         check.refuse(
             &field,
@@ -250,14 +274,19 @@ fn within_the_spoon(powder: &str, targets_mg: &[f64], sets: &[CalibratedSet], co
 /// The sets that a policy was not trained on; all of them when it has met every one.
 pub(super) fn unmet(sets: Vec<CalibratedSet>, policy: &Policy) -> Vec<CalibratedSet> {
     let list = |value: &serde_json::Value| value.as_array().cloned().unwrap_or_default();
-    let known = list(&policy.manifest["levels"]).iter().flat_map(|level| list(&level["sets"])).collect::<Vec<_>>();
+    let known = list(&policy.manifest["levels"])
+        .iter()
+        .flat_map(|level| list(&level["sets"]))
+        .collect::<Vec<_>>();
     let met = |set: &CalibratedSet| known.iter().any(|known| known["id"] == *set.id);
     let unmet: Vec<CalibratedSet> = sets.iter().filter(|set| !met(set)).cloned().collect();
     if unmet.is_empty() { sets } else { unmet }
 }
 
 fn evaluation(row: JobRow) -> Result<Evaluation> {
-    let JobSpec::Evaluation(spec) = stored(&row.spec)? else { return Err(corrupt("an evaluation's specification")) };
+    let JobSpec::Evaluation(spec) = stored(&row.spec)? else {
+        return Err(corrupt("an evaluation's specification"));
+    };
     Ok(Evaluation {
         job: row.job,
         policy: spec.policy,

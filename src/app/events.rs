@@ -38,7 +38,11 @@ impl App {
     ///
     /// An `after_seq` beyond the last event stems from another data folder, or from one that was
     /// restored: it is taken as the beginning, or with [`Topic::All`] as now.
-    pub async fn events(&self, topic: Topic, after_seq: i64) -> Result<BoxStream<'static, Result<Event>>> {
+    pub async fn events(
+        &self,
+        topic: Topic,
+        after_seq: i64,
+    ) -> Result<BoxStream<'static, Result<Event>>> {
         match &topic {
             Topic::Job(id) => drop(self.job(id).await?),
             Topic::Weighing(id) => {
@@ -63,7 +67,8 @@ impl App {
             keyring: self.inner.keyring.clone(),
             over: false,
         };
-        let next = async |mut follower: Follower| follower.next().await.map(|event| (event, follower));
+        let next =
+            async |mut follower: Follower| follower.next().await.map(|event| (event, follower));
         Ok(stream::unfold(follower, next).boxed())
     }
 
@@ -147,8 +152,12 @@ impl Follower {
     /// Whether the last event of the topic is already stored.
     async fn has_ended(&self) -> Result<bool> {
         Ok(match &self.topic {
-            Topic::Job(id) => self.store.job(id).await?.is_none_or(|row| row.job.state.is_terminal()),
-            Topic::Weighing(id) => self.store.weighing(id).await?.is_none_or(|row| row.weighing.outcome.is_some()),
+            Topic::Job(id) => {
+                self.store.job(id).await?.is_none_or(|row| row.job.state.is_terminal())
+            }
+            Topic::Weighing(id) => {
+                self.store.weighing(id).await?.is_none_or(|row| row.weighing.outcome.is_some())
+            }
             Topic::All => false,
         })
     }

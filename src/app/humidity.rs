@@ -29,7 +29,8 @@ pub(super) fn to_percent(
         .filter_map(|(k, value)| Some((k, (*value)?)))
         .filter(|(k, _)| !has_unit(*k))
         .collect();
-    let low: Vec<usize> = bare.iter().filter(|(_, value)| *value > 0.0 && *value < 1.0).map(|(k, _)| *k).collect();
+    let low: Vec<usize> =
+        bare.iter().filter(|(_, value)| *value > 0.0 && *value < 1.0).map(|(k, _)| *k).collect();
     if low.is_empty() {
         return Ok(None);
     }

@@ -43,7 +43,8 @@ impl Driver {
     /// # Errors
     /// `Invalid` if they are not a policy.
     pub fn read(field: &str, bytes: &[u8]) -> Result<Self> {
-        let policy = policy::decode(bytes).map_err(|error| FieldError::new(field, error.to_string()))?;
+        let policy =
+            policy::decode(bytes).map_err(|error| FieldError::new(field, error.to_string()))?;
         Ok(Self(policy))
     }
 
@@ -71,7 +72,13 @@ impl Driving<'_> {
             self.check(&format!("history[{k}].after."), &step.after)?;
             self.check_beginning(&format!("history[{k}].before."), &step.before)?;
             let action = format!("history[{k}].action.");
-            bounded(&format!("{action}incline_change_deg"), step.action.incline_change_deg, -90.0, 90.0, "deg")?;
+            bounded(
+                &format!("{action}incline_change_deg"),
+                step.action.incline_change_deg,
+                -90.0,
+                90.0,
+                "deg",
+            )?;
             bounded(&format!("{action}shake_mm"), step.action.shake_mm, 0.0, 1000.0, "mm")?;
             self.dosing.resume(*step);
             self.steps += 1;
@@ -112,7 +119,8 @@ impl Driving<'_> {
         bounded(&format!("{path}pitch_deg"), seen.pitch_deg, -90.0, 90.0, "deg")?;
         let target_mg = *self.target_mg.get_or_insert(seen.target_mg);
         if target_mg != seen.target_mg {
-            let message = format!("must stay {target_mg} mg throughout a weighing, got {}", seen.target_mg);
+            let message =
+                format!("must stay {target_mg} mg throughout a weighing, got {}", seen.target_mg);
             return Err(FieldError::new(format!("{path}target_mg"), message).into());
         }
         Ok(())

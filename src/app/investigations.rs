@@ -31,8 +31,15 @@ const BUDGET_RUNS: u32 = 60;
 const BUDGET_RUNS_MAX: u32 = 10_000;
 /// Frictions that give these angles with a cohesion of 0.3, for powders without a calibration;
 /// `docs/repose_grid.csv`.
-const UNCALIBRATED: [[f64; 2]; 7] =
-    [[0.163, 27.8], [0.325, 30.2], [0.488, 32.5], [0.65, 36.1], [0.812, 38.7], [0.975, 41.6], [1.137, 43.8]];
+const UNCALIBRATED: [[f64; 2]; 7] = [
+    [0.163, 27.8],
+    [0.325, 30.2],
+    [0.488, 32.5],
+    [0.65, 36.1],
+    [0.812, 38.7],
+    [0.975, 41.6],
+    [1.137, 43.8],
+];
 
 /// What to investigate. Everything has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -115,19 +122,23 @@ impl App {
     pub async fn start_investigation(&self, request: InvestigationRequest) -> Result<(Job, bool)> {
         let mut check = Check::default();
         let simulations = request.simulations.unwrap_or(SIMULATIONS);
-        let settings = check.keep(Settings { seed: request.seed.unwrap_or(1), simulations }.checked());
+        let settings =
+            check.keep(Settings { seed: request.seed.unwrap_or(1), simulations }.checked());
         let budget_runs = request.budget_runs.unwrap_or(BUDGET_RUNS);
         check.count("budget_runs", budget_runs, 0, BUDGET_RUNS_MAX);
         check.done()?;
         let Some(settings) = settings else { unreachable!("checked above") };
         let csv = match request.measurements_csv {
-            None if request.traces_csv.is_none() => Some(as_runs(&self.store().all_measurements(None).await?)),
+            None if request.traces_csv.is_none() => {
+                Some(as_runs(&self.store().all_measurements(None).await?))
+            }
             csv => csv,
         };
         let mut files = Vec::new();
         let campaign = match csv {
             Some(csv) => {
-                let CampaignRead { campaign, read } = campaign_csv::read(&csv, &REQUIRED, request.dates)?;
+                let CampaignRead { campaign, read } =
+                    campaign_csv::read(&csv, &REQUIRED, request.dates)?;
                 files.push(read);
                 Some(campaign.checked()?)
             }
@@ -142,11 +153,14 @@ impl App {
             None => None,
         };
         let heaps = match (&campaign, budget_runs) {
-            (Some(campaign), 1..) => Some(Heaps { budget_runs, sets: self.stand_ins(campaign).await? }),
+            (Some(campaign), 1..) => {
+                Some(Heaps { budget_runs, sets: self.stand_ins(campaign).await? })
+            }
             _ => None,
         };
         let (method, simulator) = (discover::VERSION, SIMULATOR.to_owned());
-        let spec = InvestigationSpec { campaign, traces, settings, heaps, files, method, simulator };
+        let spec =
+            InvestigationSpec { campaign, traces, settings, heaps, files, method, simulator };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Investigation(spec)).await?)
     }
 
@@ -161,24 +175,37 @@ impl App {
         }
         let mut stands = Vec::new();
         for (k, powder) in campaign.powders.iter().enumerate() {
-            let angles = campaign.runs.iter().filter(|run| run.powder == k).filter_map(|run| run.repose_deg);
-            let (sum, count) = angles.fold((0.0, 0), |(sum, count), angle| (sum + angle, count + 1));
+            let angles =
+                campaign.runs.iter().filter(|run| run.powder == k).filter_map(|run| run.repose_deg);
+            let (sum, count) =
+                angles.fold((0.0, 0), |(sum, count), angle| (sum + angle, count + 1));
             if count == 0 {
                 continue;
             }
             let distance = |deg: f64| (deg - sum / f64::from(count)).abs();
             let own = known.iter().find(|it| it.0 == *powder);
-            let nearest = || known.iter().min_by(|a, b| distance(a.1.repose_deg).total_cmp(&distance(b.1.repose_deg)));
+            let nearest = || {
+                known
+                    .iter()
+                    .min_by(|a, b| distance(a.1.repose_deg).total_cmp(&distance(b.1.repose_deg)))
+            };
             let (parameters, source) = match own.or_else(nearest) {
                 Some((of, set)) => (set.parameters, format!("calibrated for {of}")),
                 None => {
-                    let by = |a: &&[f64; 2], b: &&[f64; 2]| distance(a[1]).total_cmp(&distance(b[1]));
-                    let [friction, deg] = *UNCALIBRATED.iter().min_by(by).unwrap_or(&UNCALIBRATED[0]);
-                    let set = ParameterSet::default().with("friction", friction)?.with("cohesion", 0.3)?;
+                    let by =
+                        |a: &&[f64; 2], b: &&[f64; 2]| distance(a[1]).total_cmp(&distance(b[1]));
+                    let [friction, deg] =
+                        *UNCALIBRATED.iter().min_by(by).unwrap_or(&UNCALIBRATED[0]);
+                    let set = ParameterSet::default()
+                        .with("friction", friction)?
+                        .with("cohesion", 0.3)?;
                     (set, format!("uncalibrated, of about {deg} deg"))
                 }
             };
-            stands.push((FitSet { powder: powder.clone(), set: parameters.id(), source }, parameters));
+            stands.push((
+                FitSet { powder: powder.clone(), set: parameters.id(), source },
+                parameters,
+            ));
         }
         Ok(stands)
     }
@@ -210,7 +237,9 @@ impl App {
     /// As [`Self::predictions`].
     pub async fn report(&self, id: &str) -> Result<Report> {
         self.investigation(id).await?.report.ok_or_else(|| {
-            let advice = format!("investigation {id} has no report: only those that have succeeded have one");
+            let advice = format!(
+                "investigation {id} has no report: only those that have succeeded have one"
+            );
             Error::conflict("investigation_unfinished", advice)
         })
     }
@@ -250,7 +279,10 @@ fn as_runs(measurements: &[Measurement]) -> String {
             Method::Automated => "camera",
             Method::Manual => "manual",
         };
-        text += &format!("{powder},{method},{repose_deg},{sd_deg},{}\n", (*n).min(campaign_csv::REPEATS_MAX));
+        text += &format!(
+            "{powder},{method},{repose_deg},{sd_deg},{}\n",
+            (*n).min(campaign_csv::REPEATS_MAX)
+        );
     }
     text
 }
@@ -269,7 +301,8 @@ fn without_report(row: JobRow) -> Result<Investigation> {
     };
     let found: Option<Glance> = row.result.as_deref().map(stored).transpose()?;
     let InvestigationSpec { campaign, traces, settings, heaps, simulator, .. } = spec;
-    let (campaign, weighings) = (campaign.unwrap_or_default(), traces.map_or(Vec::new(), |traces| traces.weighings));
+    let (campaign, weighings) =
+        (campaign.unwrap_or_default(), traces.map_or(Vec::new(), |traces| traces.weighings));
     let mut powders = campaign.powders;
     let sessions = campaign.runs.iter().map(|run| run.session).collect::<BTreeSet<_>>().len();
     let weighed = weighings.iter().filter_map(|weighing| weighing.powder.as_ref());

@@ -9,7 +9,12 @@ use serde::de::DeserializeOwned;
 
 impl App {
     /// Jobs, newest first; optionally of one kind or state.
-    pub async fn jobs(&self, kind: Option<JobKind>, state: Option<JobState>, page: PageQuery) -> Result<Page<Job>> {
+    pub async fn jobs(
+        &self,
+        kind: Option<JobKind>,
+        state: Option<JobState>,
+        page: PageQuery,
+    ) -> Result<Page<Job>> {
         Ok(self.store().jobs(kind, state, page.window(LIST_LIMIT_MAX)?).await?)
     }
 
@@ -26,7 +31,8 @@ impl App {
             return Ok(job);
         }
         let job = self.job(id).await?;
-        let advice = format!("job {id} has ended ({}): there is nothing to cancel", word(job.state));
+        let advice =
+            format!("job {id} has ended ({}): there is nothing to cancel", word(job.state));
         Err(Error::conflict("job_finished", advice))
     }
 

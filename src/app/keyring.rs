@@ -84,8 +84,12 @@ impl Keyring {
         };
         match tokio::time::timeout(LOOK_MAX, look).await {
             Ok(Ok(asked)) => return asked,
-            Ok(Err(error)) => tracing::warn!(%error, "the tokens could not be looked up; those known so far count"),
-            Err(_) => tracing::warn!("the tokens could not be looked up within a second; those known so far count"),
+            Ok(Err(error)) => {
+                tracing::warn!(%error, "the tokens could not be looked up; those known so far count")
+            }
+            Err(_) => tracing::warn!(
+                "the tokens could not be looked up within a second; those known so far count"
+            ),
         }
         true
     }
@@ -93,7 +97,10 @@ impl Keyring {
     fn replace(&self, tokens: Vec<HashedToken>) {
         let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);
         let before = std::mem::take(&mut *known);
-        *known = tokens.into_iter().map(|token| (token.entry.id.clone(), Key::new(token, &before))).collect();
+        *known = tokens
+            .into_iter()
+            .map(|token| (token.entry.id.clone(), Key::new(token, &before)))
+            .collect();
         drop(known);
         self.asked.send_replace(());
     }
@@ -153,7 +160,8 @@ impl Keyring {
 impl Key {
     /// A token as read from the table; its last use is carried over.
     fn new(token: HashedToken, before: &HashMap<String, Self>) -> Self {
-        let used_ms = before.get(&token.entry.id).map_or(0, |key| key.used_ms.load(Ordering::Relaxed));
+        let used_ms =
+            before.get(&token.entry.id).map_or(0, |key| key.used_ms.load(Ordering::Relaxed));
         Self { token, used_ms: AtomicI64::new(used_ms) }
     }
 
@@ -195,7 +203,11 @@ mod tests {
         assert!(ring(|it| it.expires_at = Some(future)).holder(SECRET).is_some());
         assert_eq!(ring(|it| it.expires_at = Some(past)).holder(SECRET), None);
         assert_eq!(ring(|it| it.revoked_at = Some(past)).holder(SECRET), None);
-        assert_eq!(ring(|it| it.revoked_at = Some(future)).holder(SECRET), None, "revoked is revoked");
+        assert_eq!(
+            ring(|it| it.revoked_at = Some(future)).holder(SECRET),
+            None,
+            "revoked is revoked"
+        );
     }
 
     #[tokio::test]
@@ -217,7 +229,11 @@ mod tests {
             let ring = ring(|it| (it.role, it.may_clear) = (role, flag));
             ring.holder(SECRET).unwrap().may_clear
         };
-        assert!(!may_clear(Role::Operator, false) && may_clear(Role::Operator, true) && may_clear(Role::Admin, false));
+        assert!(
+            !may_clear(Role::Operator, false)
+                && may_clear(Role::Operator, true)
+                && may_clear(Role::Admin, false)
+        );
     }
 
     #[test]
@@ -243,7 +259,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let ring = Keyring::of(&store).await.unwrap();
-        let asked = futures::future::join_all((0..1000).map(|_| ring.look_after_a_miss(&store))).await;
+        let asked =
+            futures::future::join_all((0..1000).map(|_| ring.look_after_a_miss(&store))).await;
         let looks = asked.iter().filter(|asked| **asked).count();
         assert!((1..10).contains(&looks), "{looks} looks");
     }

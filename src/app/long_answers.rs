@@ -17,7 +17,10 @@ enum Next {
 impl App {
     /// The audit trail, oldest first; optionally of one weighing. The first batch may be empty, no
     /// other is.
-    pub fn audit_trail(&self, weighing: Option<String>) -> BoxStream<'static, Result<Vec<AuditRecord>>> {
+    pub fn audit_trail(
+        &self,
+        weighing: Option<String>,
+    ) -> BoxStream<'static, Result<Vec<AuditRecord>>> {
         let app = self.clone();
         let next = move |after: Option<i64>| {
             let (app, weighing) = (app.clone(), weighing.clone());
@@ -27,7 +30,11 @@ impl App {
     }
 
     /// One batch, and where the next one starts.
-    async fn trail_after(&self, weighing: Option<&str>, after: i64) -> Option<(Result<Vec<AuditRecord>>, Option<i64>)> {
+    async fn trail_after(
+        &self,
+        weighing: Option<&str>,
+        after: i64,
+    ) -> Option<(Result<Vec<AuditRecord>>, Option<i64>)> {
         let records = self.store().audit_after(weighing, after).await.map_err(Error::from);
         let last = records.as_ref().ok().and_then(|records| records.last()).map(|last| last.seq);
         (after == 0 || last.is_some() || records.is_err()).then_some((records, last))
@@ -38,7 +45,10 @@ impl App {
     ///
     /// # Errors
     /// `NotFound`
-    pub async fn measured_csv(&self, powder: Option<String>) -> Result<BoxStream<'static, Result<String>>> {
+    pub async fn measured_csv(
+        &self,
+        powder: Option<String>,
+    ) -> Result<BoxStream<'static, Result<String>>> {
         if let Some(powder) = &powder {
             self.existing_powder(powder).await?;
         }
@@ -56,12 +66,17 @@ impl App {
     }
 
     /// One batch, and where the next one starts; the first includes the header.
-    async fn measured_after(&self, powder: Option<&str>, next: Next) -> Result<(String, Option<Next>)> {
+    async fn measured_after(
+        &self,
+        powder: Option<&str>,
+        next: Next,
+    ) -> Result<(String, Option<Next>)> {
         let header = measurement_csv::write(&[], &[]).len();
         Ok(match next {
             Next::Measurements(after) => {
                 let (found, last) = self.store().measurements_after(powder, after).await?;
-                let next = if found.is_empty() { Next::Observations(0) } else { Next::Measurements(last) };
+                let next =
+                    if found.is_empty() { Next::Observations(0) } else { Next::Measurements(last) };
                 let text = measurement_csv::write(&found, &[]);
                 (text[if after == 0 { 0 } else { header }..].to_owned(), Some(next))
             }

@@ -54,14 +54,28 @@ struct Quantity {
     option: &'static str,
 }
 
-const ANGLE: Quantity = Quantity { value: "repose_deg", sd: "repose_sd_deg", settings: &[], option: "" };
-const HEAP: Quantity =
-    Quantity { value: "height_mm", sd: "", settings: &["base_diameter_mm"], option: "funnel_height_mm" };
-const FLOW: Quantity =
-    Quantity { value: "flow_time_s", sd: "flow_time_sd_s", settings: &["poured_mass_g", "orifice_mm"], option: "" };
-const SHAKE: Quantity =
-    Quantity { value: "shake_mg", sd: "shake_sd_mg", settings: &["spoon_pitch_deg", "shake_mm"], option: "" };
-const DRAINED: Quantity = Quantity { value: "drained_deg", sd: "drained_sd_deg", settings: &[], option: "" };
+const ANGLE: Quantity =
+    Quantity { value: "repose_deg", sd: "repose_sd_deg", settings: &[], option: "" };
+const HEAP: Quantity = Quantity {
+    value: "height_mm",
+    sd: "",
+    settings: &["base_diameter_mm"],
+    option: "funnel_height_mm",
+};
+const FLOW: Quantity = Quantity {
+    value: "flow_time_s",
+    sd: "flow_time_sd_s",
+    settings: &["poured_mass_g", "orifice_mm"],
+    option: "",
+};
+const SHAKE: Quantity = Quantity {
+    value: "shake_mg",
+    sd: "shake_sd_mg",
+    settings: &["spoon_pitch_deg", "shake_mm"],
+    option: "",
+};
+const DRAINED: Quantity =
+    Quantity { value: "drained_deg", sd: "drained_sd_deg", settings: &[], option: "" };
 const PILE: Quantity = Quantity {
     value: "pile_height_mm",
     sd: "pile_height_sd_mm",
@@ -117,9 +131,13 @@ pub(super) fn read(text: &str) -> Result<(Vec<Entry>, PowderNames)> {
         &Columns { required: &["powder"], known, meant: |_| None, most: COLUMNS.len() },
         check_header,
     )?;
-    let mut refusals = table.each(|cells| Row { row: cells.row, cells }.read(&mut groups, &mut powders));
-    let entries: Vec<_> =
-        groups.list.into_iter().filter_map(|group| group.entry().map_err(|e| refusals.push(e)).ok()).collect();
+    let mut refusals =
+        table.each(|cells| Row { row: cells.row, cells }.read(&mut groups, &mut powders));
+    let entries: Vec<_> = groups
+        .list
+        .into_iter()
+        .filter_map(|group| group.entry().map_err(|e| refusals.push(e)).ok())
+        .collect();
     refusals.truncate(REFUSALS_MAX);
     if refusals.is_empty() { Ok((entries, powders)) } else { Err(Error::Invalid(refusals)) }
 }
@@ -135,7 +153,10 @@ fn check_header(header: &[String], check: &mut Check) {
     let is_unknown = |name: &&String| !name.is_empty() && known(name).is_none();
     for name in header.iter().filter(is_unknown) {
         let meant = did_you_mean(name, COLUMNS);
-        check.refuse(name, format!("is no column that is known here{meant}; these are: {}", COLUMNS.join(", ")));
+        check.refuse(
+            name,
+            format!("is no column that is known here{meant}; these are: {}", COLUMNS.join(", ")),
+        );
     }
 }
 
@@ -154,14 +175,18 @@ impl Row<'_> {
             name => check.keep(powders.id_of(row, name)),
         };
         let method = words::method(self.cells.text("method")).unwrap_or_else(|| {
-            let advice = format!("must be automated (camera) or manual, got `{}`", self.cells.text("method"));
+            let advice = format!(
+                "must be automated (camera) or manual, got `{}`",
+                self.cells.text("method")
+            );
             check.refuse(&format!("row[{row}].method"), advice);
             Method::Automated
         });
         let source = self.cells.written("source");
         check.source(&format!("row[{row}].source"), source);
         let n = check.keep(self.cells.repeats("n")).flatten();
-        let given: Vec<&Quantity> = QUANTITIES.iter().filter(|q| self.cells.holds(q.value)).collect();
+        let given: Vec<&Quantity> =
+            QUANTITIES.iter().filter(|q| self.cells.holds(q.value)).collect();
         self.check_columns(&given, &mut check);
         let mut found = Vec::new();
         for quantity in &given {
@@ -181,7 +206,10 @@ impl Row<'_> {
         let row = self.row;
         let values = QUANTITIES.map(|q| q.value).join(", ");
         if given.is_empty() {
-            check.refuse(&format!("row[{row}]"), format!("holds no measured value: fill one of {values}"));
+            check.refuse(
+                &format!("row[{row}]"),
+                format!("holds no measured value: fill one of {values}"),
+            );
         }
         if self.cells.holds(ANGLE.value) && self.cells.holds(HEAP.value) {
             check.refuse(
@@ -191,7 +219,10 @@ impl Row<'_> {
         }
         for column in COLUMNS.iter().filter(|column| self.cells.holds(column)) {
             let uses = |q: &&Quantity| {
-                q.value == *column || q.sd == *column || q.settings.contains(column) || q.option == *column
+                q.value == *column
+                    || q.sd == *column
+                    || q.settings.contains(column)
+                    || q.option == *column
             };
             let owners: Vec<&str> = QUANTITIES.iter().filter(uses).map(|q| q.value).collect();
             if !owners.is_empty() && !given.iter().any(uses) {
@@ -217,7 +248,10 @@ impl Row<'_> {
                 return Err(at(
                     row,
                     "n",
-                    format!("does not go with {}, which is one heap: leave it empty", quantity.value),
+                    format!(
+                        "does not go with {}, which is one heap: leave it empty",
+                        quantity.value
+                    ),
                 ));
             }
             // The spread of a single value is unknown.
@@ -235,16 +269,27 @@ impl Row<'_> {
         let n = n.unwrap_or(2);
         if quantity.value == ANGLE.value {
             let count = if is_summary { n } else { 1 };
-            let angle = Flowability::new(value, sd, count).map_err(|error| self.renamed(quantity, error))?;
-            let measured =
-                if is_summary { Measured::Summary(Value::Angle(method, angle)) } else { Measured::Repeat(value) };
+            let angle = Flowability::new(value, sd, count)
+                .map_err(|error| self.renamed(quantity, error))?;
+            let measured = if is_summary {
+                Measured::Summary(Value::Angle(method, angle))
+            } else {
+                Measured::Repeat(value)
+            };
             return Ok((quantity.value, Subject::Angle(method), measured));
         }
         let setting = |k: usize| self.cells.number(quantity.settings[k]);
         if quantity.value == HEAP.value {
-            let funnel_height_mm =
-                self.cells.holds(quantity.option).then(|| self.cells.number(quantity.option)).transpose()?;
-            let heap = HeapReadings { heights_mm: &[value], base_diameters_mm: &[setting(0)?], funnel_height_mm };
+            let funnel_height_mm = self
+                .cells
+                .holds(quantity.option)
+                .then(|| self.cells.number(quantity.option))
+                .transpose()?;
+            let heap = HeapReadings {
+                heights_mm: &[value],
+                base_diameters_mm: &[setting(0)?],
+                funnel_height_mm,
+            };
             let angles = heap.angles_deg().map_err(|error| self.renamed(quantity, error))?;
             return Ok((quantity.value, Subject::Angle(method), Measured::Repeat(angles[0])));
         }
@@ -264,8 +309,11 @@ impl Row<'_> {
         };
         let observation = Observation { observable, mean, sd, n }.checked();
         let observation = observation.map_err(|error| self.renamed(quantity, error))?;
-        let measured =
-            if is_summary { Measured::Summary(Value::Observed(observation)) } else { Measured::Repeat(value) };
+        let measured = if is_summary {
+            Measured::Summary(Value::Observed(observation))
+        } else {
+            Measured::Repeat(value)
+        };
         Ok((quantity.value, Subject::Observed(observable), measured))
     }
 
@@ -320,7 +368,10 @@ impl Groups {
             Measured::Summary(value) => self.list.push(group(Vec::new(), Some(value))),
             Measured::Repeat(value) => {
                 // Different values print differently, and no id or source contains a line break.
-                let place = *self.places.entry(format!("{powder}\n{source}\n{subject:?}")).or_insert(self.list.len());
+                let place = *self
+                    .places
+                    .entry(format!("{powder}\n{source}\n{subject:?}"))
+                    .or_insert(self.list.len());
                 match self.list.get_mut(place) {
                     Some(known) => known.repeats.push(value),
                     None => self.list.push(group(vec![value], None)),
@@ -335,7 +386,11 @@ impl Group {
     fn entry(self) -> std::result::Result<Entry, FieldError> {
         let Self { row, column, powder, source, subject, repeats, summary } = self;
         let renamed = |error: FieldError| {
-            at(row, column, format!("and its {} further repeats: {}", repeats.len() - 1, error.message))
+            at(
+                row,
+                column,
+                format!("and its {} further repeats: {}", repeats.len() - 1, error.message),
+            )
         };
         let value = match (summary, subject) {
             (Some(value), _) => value,
@@ -375,7 +430,9 @@ pub(super) fn write(measurements: &[Measurement], observations: &[PowderObservat
             Observable::FlowTime { mass_g, orifice_mm } => (FLOW, vec![mass_g, orifice_mm]),
             Observable::ShakeMass { pitch_deg, shake_mm } => (SHAKE, vec![pitch_deg, shake_mm]),
             Observable::DrainedAngle {} => (DRAINED, vec![]),
-            Observable::PileHeight { base_diameter_mm, fall_mm } => (PILE, vec![base_diameter_mm, fall_mm]),
+            Observable::PileHeight { base_diameter_mm, fall_mm } => {
+                (PILE, vec![base_diameter_mm, fall_mm])
+            }
         };
         let mut cells = vec![
             ("powder", o.powder.clone()),
@@ -391,8 +448,12 @@ pub(super) fn write(measurements: &[Measurement], observations: &[PowderObservat
     let mut text = csv::WriterBuilder::new().from_writer(Vec::new());
     let header = COLUMNS.map(str::to_owned).to_vec();
     for row in std::iter::once(header).chain(rows.map(|cells| {
-        let cell =
-            |column| cells.iter().find(|(name, _)| *name == column).map_or_else(String::new, |(_, text)| text.clone());
+        let cell = |column| {
+            cells
+                .iter()
+                .find(|(name, _)| *name == column)
+                .map_or_else(String::new, |(_, text)| text.clone())
+        };
         COLUMNS.map(cell).to_vec()
     })) {
         // Writing rows of equal length to memory cannot fail.

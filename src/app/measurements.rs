@@ -108,22 +108,41 @@ impl Measured {
 impl NewMeasurement {
     /// Mean, SD and number, from whichever form was given.
     fn flowability(&self) -> std::result::Result<Flowability, FieldError> {
-        let Self { repose_deg, sd_deg, n, repeats_deg, heights_mm, base_diameters_mm, funnel_height_mm, .. } = self;
+        let Self {
+            repose_deg,
+            sd_deg,
+            n,
+            repeats_deg,
+            heights_mm,
+            base_diameters_mm,
+            funnel_height_mm,
+            ..
+        } = self;
         let stray = |given: &[(&str, bool)], form: &str| {
             let stray = given.iter().find(|(_, is_given)| *is_given);
             stray.map_or(Ok(()), |(field, _)| {
                 Err(FieldError::new(*field, format!("does not go with {form}: leave one out")))
             })
         };
-        let summary = [("repose_deg", repose_deg.is_some()), ("sd_deg", sd_deg.is_some()), ("n", n.is_some())];
+        let summary = [
+            ("repose_deg", repose_deg.is_some()),
+            ("sd_deg", sd_deg.is_some()),
+            ("n", n.is_some()),
+        ];
         let repeats = [("repeats_deg", repeats_deg.is_some())];
-        let bases =
-            [("base_diameters_mm", base_diameters_mm.is_some()), ("funnel_height_mm", funnel_height_mm.is_some())];
+        let bases = [
+            ("base_diameters_mm", base_diameters_mm.is_some()),
+            ("funnel_height_mm", funnel_height_mm.is_some()),
+        ];
         match (heights_mm, repeats_deg, repose_deg) {
             (Some(heights_mm), ..) => {
                 stray(&[&summary[..], &repeats].concat(), "`heights_mm`")?;
-                let missing =
-                    || FieldError::new("base_diameters_mm", "is missing: each height needs the diameter of its base");
+                let missing = || {
+                    FieldError::new(
+                        "base_diameters_mm",
+                        "is missing: each height needs the diameter of its base",
+                    )
+                };
                 let base_diameters_mm = base_diameters_mm.as_ref().ok_or_else(missing)?;
                 Flowability::of_heaps(&HeapReadings {
                     heights_mm,
@@ -141,8 +160,15 @@ impl NewMeasurement {
                 let (sd_deg, n) = match (*sd_deg, *n) {
                     (None, None | Some(1)) => (0.0, 1),
                     (Some(sd_deg), Some(n)) => (sd_deg, n),
-                    (None, Some(_)) => return Err(FieldError::new("sd_deg", "is missing: the SD over the repeats")),
-                    (Some(_), None) => return Err(FieldError::new("n", "is missing: the number of repeats")),
+                    (None, Some(_)) => {
+                        return Err(FieldError::new(
+                            "sd_deg",
+                            "is missing: the SD over the repeats",
+                        ));
+                    }
+                    (Some(_), None) => {
+                        return Err(FieldError::new("n", "is missing: the number of repeats"));
+                    }
                 };
                 Flowability::new(*repose_deg, sd_deg, n)
             }
@@ -158,10 +184,12 @@ impl NewMeasurement {
 impl NewObservation {
     fn checked(&self) -> std::result::Result<Observation, FieldError> {
         let Self { observable, mean, sd, n, .. } = *self;
-        Observation { observable, mean, sd, n }.checked().map_err(|error| match error.field.as_str() {
-            "mean" | "sd" | "n" => error,
-            // A setting of the experiment, which in the request is nested one level deeper.
-            setting => FieldError { field: format!("observable.{setting}"), ..error },
+        Observation { observable, mean, sd, n }.checked().map_err(|error| {
+            match error.field.as_str() {
+                "mean" | "sd" | "n" => error,
+                // A setting of the experiment, which in the request is nested one level deeper.
+                setting => FieldError { field: format!("observable.{setting}"), ..error },
+            }
         })
     }
 }
@@ -179,8 +207,11 @@ enum Registered {
 /// Which of the `known` powders, id and name, has this id, or this name if the file gives one.
 fn registered(known: &[(String, String)], id: &str, name: Option<&str>) -> Registered {
     let of_id = known.iter().find(|(known, _)| known == id);
-    let Some(name) = name else { return of_id.map_or(Registered::Not, |(id, _)| Registered::As(id.clone())) };
-    let is_same = |(id, known): &&(String, String)| same_name(known) == same_name(name) || known == id;
+    let Some(name) = name else {
+        return of_id.map_or(Registered::Not, |(id, _)| Registered::As(id.clone()));
+    };
+    let is_same =
+        |(id, known): &&(String, String)| same_name(known) == same_name(name) || known == id;
     // A powder that was registered by its id alone has no name of its own.
     let of_name = known.iter().find(|(_, known)| same_name(known) == same_name(name));
     match (of_id.filter(is_same).or(of_name), of_id) {
@@ -199,15 +230,23 @@ fn first_rows(entries: &[Entry]) -> Vec<(String, usize)> {
 
 /// Replaces the id derived from a powder's name by the id under which the powder is registered.
 fn renamed(entries: &mut [Entry], named: &mut [NamedPowder], made: &str, id: &str) {
-    entries.iter_mut().filter(|entry| entry.powder == made).for_each(|entry| id.clone_into(&mut entry.powder));
-    named.iter_mut().filter(|powder| powder.id == made).for_each(|powder| id.clone_into(&mut powder.id));
+    entries
+        .iter_mut()
+        .filter(|entry| entry.powder == made)
+        .for_each(|entry| id.clone_into(&mut entry.powder));
+    named
+        .iter_mut()
+        .filter(|powder| powder.id == made)
+        .for_each(|powder| id.clone_into(&mut powder.id));
 }
 
 fn unknown(known: &[(String, String)], id: &str, name: Option<&str>) -> String {
     let called = name.map_or_else(String::new, |name| format!(" and none called `{name}`"));
     let ids = did_you_mean(id, known.iter().map(|(id, _)| id.as_str()));
     let meant = match name {
-        Some(name) if ids.is_empty() => did_you_mean(name, known.iter().map(|(_, name)| name.as_str())),
+        Some(name) if ids.is_empty() => {
+            did_you_mean(name, known.iter().map(|(_, name)| name.as_str()))
+        }
         _ => ids,
     };
     format!("there is no powder `{id}`{called}{meant}: register it first, or import with `create`")
@@ -231,7 +270,8 @@ impl App {
         self.existing_powder(powder).await?;
         let mut tx = self.store().write().await?;
         let measurement = tx.insert_measurement(powder, new.method, flowability, &source).await?;
-        tx.audit_deed(None, "new measurement", json!({ "measurement": measurement }), now()).await?;
+        tx.audit_deed(None, "new measurement", json!({ "measurement": measurement }), now())
+            .await?;
         tx.commit().await?;
         Ok(measurement)
     }
@@ -251,10 +291,16 @@ impl App {
             let name = names.name_of(&made);
             match registered(&known, &made, name) {
                 Registered::As(id) => renamed(&mut entries, &mut named, &made, &id),
-                Registered::Not if create => new.push((made.clone(), name.unwrap_or(&made).to_owned())),
-                Registered::Not => check.refuse(&format!("row[{row}].powder"), unknown(&known, &made, name)),
+                Registered::Not if create => {
+                    new.push((made.clone(), name.unwrap_or(&made).to_owned()))
+                }
+                Registered::Not => {
+                    check.refuse(&format!("row[{row}].powder"), unknown(&known, &made, name))
+                }
                 Registered::Another(other) => {
-                    let advice = format!("makes the id {made}, which is `{other}`: write the id if it is that powder");
+                    let advice = format!(
+                        "makes the id {made}, which is `{other}`: write the id if it is that powder"
+                    );
                     check.refuse(&format!("row[{row}].powder"), advice);
                 }
             }
@@ -273,15 +319,20 @@ impl App {
         let left_out = entries.extract_if(.., |entry| before.has(entry)).count();
         let powders = new.into_iter().map(|(id, _)| id).collect();
         let (measurements, observations) = (Vec::new(), Vec::new());
-        let mut imported = Imported { powders, named, measurements, observations, already_stored: left_out };
+        let mut imported =
+            Imported { powders, named, measurements, observations, already_stored: left_out };
         for entry in &entries {
             let (powder, source) = (&entry.powder, &entry.source);
             match &entry.value {
                 Value::Angle(method, angle) => {
-                    imported.measurements.push(tx.insert_measurement(powder, *method, *angle, source).await?);
+                    imported
+                        .measurements
+                        .push(tx.insert_measurement(powder, *method, *angle, source).await?);
                 }
                 Value::Observed(observed) => {
-                    imported.observations.push(tx.insert_observation(powder, observed, source).await?);
+                    imported
+                        .observations
+                        .push(tx.insert_observation(powder, observed, source).await?);
                 }
             }
         }
@@ -307,13 +358,21 @@ impl App {
 
     /// Observations of a powder other than its angle, oldest first; for each observable the newest
     /// one is used.
-    pub async fn observations(&self, powder: &str, page: PageQuery) -> Result<Page<PowderObservation>> {
+    pub async fn observations(
+        &self,
+        powder: &str,
+        page: PageQuery,
+    ) -> Result<Page<PowderObservation>> {
         self.existing_powder(powder).await?;
         Ok(self.store().observations(powder, page.window(LIST_LIMIT_MAX)?).await?)
     }
 
     /// Registers an observation of a powder other than its angle.
-    pub async fn add_observation(&self, powder: &str, new: NewObservation) -> Result<PowderObservation> {
+    pub async fn add_observation(
+        &self,
+        powder: &str,
+        new: NewObservation,
+    ) -> Result<PowderObservation> {
         let mut check = Check::default();
         let observed = check.keep(new.checked());
         let source = new.source.unwrap_or_default();
@@ -323,7 +382,8 @@ impl App {
         self.existing_powder(powder).await?;
         let mut tx = self.store().write().await?;
         let observation = tx.insert_observation(powder, &observed, &source).await?;
-        tx.audit_deed(None, "new observation", json!({ "observation": observation }), now()).await?;
+        tx.audit_deed(None, "new observation", json!({ "observation": observation }), now())
+            .await?;
         tx.commit().await?;
         Ok(observation)
     }

@@ -40,9 +40,12 @@ mod trainings;
 mod vials;
 mod weighings;
 
-pub use crate::jobs::bench::{Awaited, PileInMaking, Unwritten, devices as file_bench, emulated as emulated_bench};
+pub use crate::jobs::bench::{
+    Awaited, PileInMaking, Unwritten, devices as file_bench, emulated as emulated_bench,
+};
 pub use crate::jobs::calibrate::{
-    CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair, Posterior, Shortfall,
+    CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair,
+    Posterior, Shortfall,
 };
 pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::observe::{Observed, Simulated};
@@ -51,7 +54,9 @@ pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::jobs::{Conditions, Functions, Workers, give_way_to_the_bench};
 pub use asked::asked_after;
 pub use backup::{BackupError, back_up, restore};
-pub use bench::{AUDIT_CSV_HEADER, BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest, audit_csv};
+pub use bench::{
+    AUDIT_CSV_HEADER, BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest, audit_csv,
+};
 pub use calibrations::{Calibration, CalibrationRequest};
 pub use comparison::{ComparedCalibration, Comparison, ParameterSpread};
 pub use csv_file::date::DateOrder;
@@ -174,7 +179,8 @@ impl App {
         let failed = |error| OpenError::of(data_dir, error);
         let store = Store::open(data_dir).await.map_err(failed)?;
         store_shipped_policy(&store).await.map_err(failed)?;
-        let jobs = Jobs::start(store.clone(), options.functions, options.workers).await.map_err(failed)?;
+        let jobs =
+            Jobs::start(store.clone(), options.functions, options.workers).await.map_err(failed)?;
         Self::of(store, Some(jobs)).await.map_err(failed)
     }
 
@@ -257,7 +263,14 @@ async fn store_shipped_policy(store: &Store) -> store::Result<()> {
     let manifest = serde_json::to_string(&shipped.policy.manifest);
     let manifest = manifest.map_err(|error| store::Error::Corrupt(error.to_string()))?;
     let mut tx = store.write().await?;
-    tx.insert_policy(&shipped.id, shipped.policy.manifest.kind.name(), None, &manifest, &shipped.bytes).await?;
+    tx.insert_policy(
+        &shipped.id,
+        shipped.policy.manifest.kind.name(),
+        None,
+        &manifest,
+        &shipped.bytes,
+    )
+    .await?;
     tx.commit().await
 }
 
@@ -281,7 +294,9 @@ impl OpenError {
     fn of(data_dir: &Path, error: store::Error) -> Self {
         match error {
             store::Error::Held(_) => Self::Held(error.to_string()),
-            other => Self::Failed { path: data_dir.display().to_string(), cause: other.to_string() },
+            other => {
+                Self::Failed { path: data_dir.display().to_string(), cause: other.to_string() }
+            }
         }
     }
 }

@@ -2,12 +2,18 @@
 
 /// The known name nearest to `written`: at most a third of its letters differ, three at most, and
 /// no other is as near.
-pub(super) fn nearest<'a>(written: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+pub(super) fn nearest<'a>(
+    written: &str,
+    known: impl IntoIterator<Item = &'a str>,
+) -> Option<&'a str> {
     let written = written.to_lowercase();
     let allowed = (written.chars().count() / 3).min(3);
     let distance = |name: &str| strsim::osa_distance(&written, &name.to_lowercase());
-    let mut near: Vec<_> =
-        known.into_iter().map(|name| (distance(name), name)).filter(|(d, _)| *d <= allowed).collect();
+    let mut near: Vec<_> = known
+        .into_iter()
+        .map(|name| (distance(name), name))
+        .filter(|(d, _)| *d <= allowed)
+        .collect();
     near.sort_unstable();
     match near[..] {
         [(nearest, name)] if nearest > 0 => Some(name),

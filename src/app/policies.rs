@@ -17,8 +17,11 @@ impl App {
 
     /// A policy's safetensors, checked against its SHA-256.
     pub async fn policy_bytes(&self, id: &str) -> Result<Vec<u8>> {
-        let found =
-            self.store().policy_bytes(id).await.map_err(|error| Error::of_part("the file of this policy", error))?;
+        let found = self
+            .store()
+            .policy_bytes(id)
+            .await
+            .map_err(|error| Error::of_part("the file of this policy", error))?;
         found.ok_or_else(|| Error::not_found("policy", id))
     }
 }

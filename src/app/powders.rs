@@ -59,13 +59,16 @@ impl App {
     /// Registers a powder; `Conflict` if the id is taken.
     pub async fn create_powder(&self, new: NewPowder) -> Result<Powder> {
         let mut check = Check::default();
-        let id = (!new.id.is_empty()).then(|| powder_id("id", &new.id)).and_then(|id| check.keep(id));
+        let id =
+            (!new.id.is_empty()).then(|| powder_id("id", &new.id)).and_then(|id| check.keep(id));
         check.text("name", &new.name, NAME_CHARS_MAX);
         check.done()?;
         let id = id.map_or_else(|| id_of_powder("name", &new.name), Ok)?;
         let mut tx = self.store().write().await?;
         let Some(created_at) = tx.insert_powder(&id, &new.name).await? else {
-            let advice = format!("powder `{id}` exists already: add measurements to it, or choose another id");
+            let advice = format!(
+                "powder `{id}` exists already: add measurements to it, or choose another id"
+            );
             return Err(Error::conflict("powder_exists", advice));
         };
         let said = json!({ "powder": { "id": id, "name": new.name, "created_at": created_at } });
@@ -75,7 +78,11 @@ impl App {
     }
 
     /// Calibrated sets, newest first; optionally of one powder.
-    pub async fn parameter_sets(&self, powder: Option<&str>, page: PageQuery) -> Result<Page<CalibratedSet>> {
+    pub async fn parameter_sets(
+        &self,
+        powder: Option<&str>,
+        page: PageQuery,
+    ) -> Result<Page<CalibratedSet>> {
         if let Some(powder) = powder {
             self.existing_powder(powder).await?;
         }
@@ -99,7 +106,9 @@ impl App {
         }
         let known = self.store().powder_names().await?;
         let meant = did_you_mean(&id, known.iter().map(|(id, _)| id.as_str()));
-        let advice = format!("there is no powder `{id}`{meant}: GET /v1/powders lists them, POST /v1/powders adds one");
+        let advice = format!(
+            "there is no powder `{id}`{meant}: GET /v1/powders lists them, POST /v1/powders adds one"
+        );
         Err(FieldError::new(field, advice).into())
     }
 }

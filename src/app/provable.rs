@@ -9,18 +9,25 @@ use super::{Error, Result};
 /// # Errors
 /// `Invalid`: `tolerance.lower` if an empty vial would be right, `tolerance.upper` if both are 0 or
 /// narrower than a step, `target.value` below a step.
-pub(super) fn check(target_mg: f64, (lower_mg, upper_mg): (f64, f64), step_mg: Option<f64>) -> Result<()> {
+pub(super) fn check(
+    target_mg: f64,
+    (lower_mg, upper_mg): (f64, f64),
+    step_mg: Option<f64>,
+) -> Result<()> {
     let mut check = Check::default();
     if lower_mg >= target_mg {
-        let advice =
-            format!("must be less than the target, {target_mg} mg: an empty vial would be within, got {lower_mg} mg");
+        let advice = format!(
+            "must be less than the target, {target_mg} mg: an empty vial would be within, got {lower_mg} mg"
+        );
         check.refuse("tolerance.lower", advice);
     }
     let band_mg = lower_mg + upper_mg;
     match step_mg {
         _ if band_mg <= 0.0 => {
-            check
-                .refuse("tolerance.upper", "must be above 0 where the lower one is 0: no balance shows a mass exactly");
+            check.refuse(
+                "tolerance.upper",
+                "must be above 0 where the lower one is 0: no balance shows a mass exactly",
+            );
         }
         Some(step_mg) if band_mg < step_mg * (1.0 - 1e-9) => {
             let advice = format!(
@@ -61,11 +68,20 @@ mod tests {
 
     #[test]
     fn what_a_display_of_one_milligram_cannot_show_is_refused_and_on_a_finer_one_it_is_not() {
-        assert_eq!(refused(0.1, (0.1, 0.1), Some(1.0)), ["tolerance.lower", "tolerance.upper", "target.value"]);
+        assert_eq!(
+            refused(0.1, (0.1, 0.1), Some(1.0)),
+            ["tolerance.lower", "tolerance.upper", "target.value"]
+        );
         assert_eq!(refused(10.0, (0.1, 0.1), Some(1.0)), ["tolerance.upper"]);
         assert_eq!(refused(0.9, (0.5, 0.5), Some(1.0)), ["target.value"]);
-        assert!(refused(10.0, (0.1, 0.1), Some(0.1)).is_empty() && refused(10.0, (0.1, 0.1), None).is_empty());
-        assert!(refused(10.0, (0.5, 0.5), Some(1.0)).is_empty() && refused(10.0, (0.0, 1.0), Some(1.0)).is_empty());
+        assert!(
+            refused(10.0, (0.1, 0.1), Some(0.1)).is_empty()
+                && refused(10.0, (0.1, 0.1), None).is_empty()
+        );
+        assert!(
+            refused(10.0, (0.5, 0.5), Some(1.0)).is_empty()
+                && refused(10.0, (0.0, 1.0), Some(1.0)).is_empty()
+        );
     }
 
     #[test]

@@ -41,7 +41,9 @@ impl Checks {
 
     /// For callers who may not read: results, but not reasons.
     pub fn without_reasons(mut self) -> Self {
-        for check in [&mut self.disk, &mut self.database, &mut self.folder, &mut self.lock, &mut self.bench] {
+        for check in
+            [&mut self.disk, &mut self.database, &mut self.folder, &mut self.lock, &mut self.bench]
+        {
             check.why = None;
         }
         self
@@ -68,12 +70,19 @@ impl App {
 
     async fn look_whether_ready(&self) -> Readiness {
         let Health { disk, database, folder, lock } = self.store().health().await;
-        let checks = Checks { disk, database, folder, lock, bench: Check::of(self.bench_is_in_the_way().await) };
+        let checks = Checks {
+            disk,
+            database,
+            folder,
+            lock,
+            bench: Check::of(self.bench_is_in_the_way().await),
+        };
         Readiness { ready: checks.store_is_ready() && checks.bench.ok, checks }
     }
 
     async fn bench_is_in_the_way(&self) -> Option<String> {
-        let standing = self.inner.jobs.as_ref().map(|jobs| jobs.bench().standing()).unwrap_or_default();
+        let standing =
+            self.inner.jobs.as_ref().map(|jobs| jobs.bench().standing()).unwrap_or_default();
         if let Some(it) = standing.unwritten {
             let since = it.since;
             return Some(format!(

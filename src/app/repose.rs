@@ -87,7 +87,9 @@ impl App {
     /// `calibration_missing`).
     pub async fn start_repose(&self, request: ReposeRequest) -> Result<(Job, bool)> {
         let within = |part: &'static str| {
-            move |error: FieldError| FieldError::new(format!("{part}.{}", error.field), error.message)
+            move |error: FieldError| {
+                FieldError::new(format!("{part}.{}", error.field), error.message)
+            }
         };
         let mut check = Check::default();
         let procedure = check.keep(request.procedure.checked().map_err(within("procedure")));
@@ -99,8 +101,10 @@ impl App {
         if let (Some(procedure), Some(limits)) = (procedure, limits)
             && procedure.frames < limits.frames_min
         {
-            let advice =
-                format!("must be at least `limits.frames_min`, {}, got {}", limits.frames_min, procedure.frames);
+            let advice = format!(
+                "must be at least `limits.frames_min`, {}, got {}",
+                limits.frames_min, procedure.frames
+            );
             check.refuse("procedure.frames", advice);
         }
         check.done()?;
@@ -144,7 +148,10 @@ impl App {
         let sets = self.store().sets_under(powder, None, every).await?.items;
         let set = sets.into_iter().min_by(|a, b| a.id.cmp(&b.id)).map(|set| set.parameters);
         set.ok_or_else(|| {
-            let advice = format!("an emulated bench piles simulated powder, and {}", without_sets(powder, None));
+            let advice = format!(
+                "an emulated bench piles simulated powder, and {}",
+                without_sets(powder, None)
+            );
             Error::conflict("calibration_missing", advice)
         })
     }
@@ -154,7 +161,11 @@ impl App {
         let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Repose);
         let mut found = repose(row.ok_or_else(|| Error::not_found("repose measurement", id))?)?;
         found.piles = self.store().piles(id).await?;
-        found.awaits = self.inner.jobs.as_ref().and_then(|jobs| jobs.bench().stand()?.inbox.as_ref()?.awaits(id));
+        found.awaits = self
+            .inner
+            .jobs
+            .as_ref()
+            .and_then(|jobs| jobs.bench().stand()?.inbox.as_ref()?.awaits(id));
         Ok(found)
     }
 
@@ -198,8 +209,13 @@ impl App {
         let found = self.repose(id).await?;
         let pile = found.piles.iter().find(|it| it.number == pile);
         let files = pile.and_then(|pile| pile.frames.get((frame as usize).checked_sub(1)?));
-        let sha256 = files.and_then(|files| files.part(part)).ok_or_else(|| Error::not_found("raw frame", part))?;
-        self.store().artifacts().get(sha256).map_err(|error| Error::of_part("this raw frame", error))
+        let sha256 = files
+            .and_then(|files| files.part(part))
+            .ok_or_else(|| Error::not_found("raw frame", part))?;
+        self.store()
+            .artifacts()
+            .get(sha256)
+            .map_err(|error| Error::of_part("this raw frame", error))
     }
 
     /// Compares automated with manual measurements, for every powder measured both ways; the newest
@@ -226,7 +242,9 @@ fn no_pile_waits() -> Error {
 }
 
 fn repose(row: JobRow) -> Result<ReposeMeasurement> {
-    let JobSpec::Repose(spec) = stored(&row.spec)? else { return Err(corrupt("a measurement's specification")) };
+    let JobSpec::Repose(spec) = stored(&row.spec)? else {
+        return Err(corrupt("a measurement's specification"));
+    };
     let ReposeSpec { powder, run, procedure, rig, limits, bench, .. } = spec;
     Ok(ReposeMeasurement {
         job: row.job,

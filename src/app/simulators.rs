@@ -47,9 +47,16 @@ impl App {
             Some(CURRENT) => Some(self.current_simulator().await?.simulator),
             _ => None,
         };
-        let Some(id) = current.as_deref().or(simulator).filter(|name| ![BASE, SIMULATOR].contains(name)) else {
-            let advice = "are those of an extended version: name it with `simulator`, or leave them out";
-            return if conditions.is_empty() { Ok(None) } else { Err(FieldError::new("conditions", advice).into()) };
+        let Some(id) =
+            current.as_deref().or(simulator).filter(|name| ![BASE, SIMULATOR].contains(name))
+        else {
+            let advice =
+                "are those of an extended version: name it with `simulator`, or leave them out";
+            return if conditions.is_empty() {
+                Ok(None)
+            } else {
+                Err(FieldError::new("conditions", advice).into())
+            };
         };
         let refuse = |message: String| Err(FieldError::new("simulator", message).into());
         let Some(version) = self.store().simulator(id).await? else {
@@ -80,7 +87,11 @@ impl App {
     pub async fn predict(&self, version: &str, measurements_csv: &str) -> Result<Vec<Row>> {
         let version = self.extended_simulator(version).await?;
         let new = campaign_csv::read(measurements_csv, &["powder"], None)?.campaign;
-        let made = self.store().job(&version.investigation).await?.ok_or_else(|| corrupt("an investigation"))?;
+        let made = self
+            .store()
+            .job(&version.investigation)
+            .await?
+            .ok_or_else(|| corrupt("an investigation"))?;
         let JobSpec::Investigation(spec) = stored(&made.spec)? else {
             return Err(corrupt("an investigation's specification"));
         };
@@ -104,8 +115,10 @@ fn lacking(report: &Report, new: &Campaign, version: &str) -> Result<()> {
     match needed.filter(lacks).collect::<Vec<_>>().as_slice() {
         [] => Ok(()),
         missing => {
-            let advice =
-                format!("lacks {}, through which {version} acts: add what it was in each row", missing.join(", "));
+            let advice = format!(
+                "lacks {}, through which {version} acts: add what it was in each row",
+                missing.join(", ")
+            );
             Err(FieldError::new("measurements", advice).into())
         }
     }

@@ -14,10 +14,13 @@ impl StoredBefore {
         let mut stored = HashMap::new();
         for it in &measured.measurements {
             let angle = Flowability { repose_deg: it.repose_deg, sd_deg: it.sd_deg, n: it.n };
-            *stored.entry(key(&it.powder, &it.source, &angle_key(it.method, &angle))).or_default() += 1;
+            *stored
+                .entry(key(&it.powder, &it.source, &angle_key(it.method, &angle)))
+                .or_default() += 1;
         }
         for it in &measured.observations {
-            let observed = Observation { observable: it.observable, mean: it.mean, sd: it.sd, n: it.n };
+            let observed =
+                Observation { observable: it.observable, mean: it.mean, sd: it.sd, n: it.n };
             *stored.entry(key(&it.powder, &it.source, &format!("{observed:?}"))).or_default() += 1;
         }
         Self(stored)
@@ -30,7 +33,8 @@ impl StoredBefore {
             Value::Angle(method, angle) => angle_key(*method, angle),
             Value::Observed(observed) => format!("{observed:?}"),
         };
-        let left = self.0.get_mut(&key(&entry.powder, &entry.source, &value)).filter(|left| **left > 0);
+        let left =
+            self.0.get_mut(&key(&entry.powder, &entry.source, &value)).filter(|left| **left > 0);
         left.map(|left| *left -= 1).is_some()
     }
 }

@@ -62,7 +62,10 @@ impl App {
         SysRng.try_fill_bytes(&mut random).map_err(|error| Error::Internal(error.into()))?;
         let (id, secret) = random.split_at(8);
         let secret = format!("flip_{}_{}", hex::encode(id), hex::encode(secret));
-        let token = HashedToken { entry: entry(hex::encode(id), new), sha256: Sha256::digest(&secret).to_vec() };
+        let token = HashedToken {
+            entry: entry(hex::encode(id), new),
+            sha256: Sha256::digest(&secret).to_vec(),
+        };
         let mut tx = self.store().write().await?;
         tx.insert_token(&token).await?;
         tx.commit().await?;
@@ -90,7 +93,8 @@ impl App {
     /// `NotFound`
     pub async fn revoke_token(&self, id: &str) -> Result<TokenEntry> {
         let mut tx = self.store().write().await?;
-        let revoked = tx.revoke_token(id, now()).await?.ok_or_else(|| Error::not_found("token", id))?;
+        let revoked =
+            tx.revoke_token(id, now()).await?.ok_or_else(|| Error::not_found("token", id))?;
         tx.commit().await?;
         self.inner.keyring.look(self.store()).await?;
         Ok(revoked)

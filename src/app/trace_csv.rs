@@ -74,8 +74,11 @@ pub(super) struct TracesRead {
 /// Every invalid cell by row and column, up to 50; a missing or repeated column by name;
 /// uninformative traces.
 pub(super) fn read(text: &str) -> Result<TracesRead> {
-    let table =
-        Table::open(text, &Columns { required: &REQUIRED, known, meant: |_| None, most: COLUMNS_MAX }, |_, _| {})?;
+    let table = Table::open(
+        text,
+        &Columns { required: &REQUIRED, known, meant: |_| None, most: COLUMNS_MAX },
+        |_, _| {},
+    )?;
     let (mut lines, mut powders) = (Vec::new(), PowderNames::default());
     let refusals = table.each(|cells| {
         lines.push(line(cells, &mut powders)?);
@@ -84,7 +87,9 @@ pub(super) fn read(text: &str) -> Result<TracesRead> {
     refused(refusals)?;
     let humid = humidities(&table, &mut lines).map_err(Error::Invalid)?;
     let mut columns = columns(&table);
-    if let (Some(note), Some(column)) = (humid, columns.iter_mut().find(|it| it.column == humidity::COLUMN)) {
+    if let (Some(note), Some(column)) =
+        (humid, columns.iter_mut().find(|it| it.column == humidity::COLUMN))
+    {
         column.note = note.to_owned();
     }
     let rows = lines.len() as u32;
@@ -135,11 +140,17 @@ fn gathered(lines: Vec<Line>) -> Result<Traces> {
 
 /// Humidities in per cent, whichever way they are written; returns the note on their column.
 fn humidities(table: &Table, lines: &mut [Line]) -> Refused<Option<&'static str>> {
-    let mut values: Vec<Option<f64>> = lines.iter().map(|line| line.reading.relative_humidity_pct).collect();
-    let units: Vec<bool> =
-        table.rows().map(|cells| matches!(cells.told(humidity::COLUMN), Told::Number(_, Some(_)))).collect();
+    let mut values: Vec<Option<f64>> =
+        lines.iter().map(|line| line.reading.relative_humidity_pct).collect();
+    let units: Vec<bool> = table
+        .rows()
+        .map(|cells| matches!(cells.told(humidity::COLUMN), Told::Number(_, Some(_))))
+        .collect();
     let note = humidity::to_percent(humidity::COLUMN, &mut values, |k| units[k], |k| lines[k].row)?;
-    lines.iter_mut().zip(values).for_each(|(line, value)| line.reading.relative_humidity_pct = value);
+    lines
+        .iter_mut()
+        .zip(values)
+        .for_each(|(line, value)| line.reading.relative_humidity_pct = value);
     Ok(note)
 }
 
@@ -185,7 +196,11 @@ fn line(cells: &Cells<'_>, powders: &mut PowderNames) -> Refused<Line> {
         "zero" => Some(Kind::Zero),
         "standard" => Some(Kind::Standard),
         other => {
-            check.keep::<()>(Err(at(row, "kind", format!("must be dose, zero or standard, got `{other}`"))));
+            check.keep::<()>(Err(at(
+                row,
+                "kind",
+                format!("must be dose, zero or standard, got `{other}`"),
+            )));
             None
         }
     };
@@ -201,7 +216,8 @@ fn line(cells: &Cells<'_>, powders: &mut PowderNames) -> Refused<Line> {
         let value = cells.holds(column).then(|| within(cells, column, lower, upper, unit));
         value.and_then(|value| check.keep(value))
     };
-    let (t_s, balance_mg) = (number("t_s", -1e12, 1e12, "s"), number("balance_mg", -1e9, 1e9, "mg"));
+    let (t_s, balance_mg) =
+        (number("t_s", -1e12, 1e12, "s"), number("balance_mg", -1e9, 1e9, "mg"));
     let target_mg = number("target_mg", 0.0, 1e9, "mg");
     let reading = Reading {
         t_s: t_s.unwrap_or_default(),
@@ -231,7 +247,8 @@ fn line(cells: &Cells<'_>, powders: &mut PowderNames) -> Refused<Line> {
 impl Gathered {
     fn new(id: String) -> Self {
         let (powder, session, target_mg) = (None, None, None);
-        let weighing = Weighing { id, powder, session, kind: Kind::Dose, target_mg, readings: Vec::new() };
+        let weighing =
+            Weighing { id, powder, session, kind: Kind::Dose, target_mg, readings: Vec::new() };
         Self { weighing, kind: None, shakes: 0 }
     }
 
@@ -243,7 +260,8 @@ impl Gathered {
         let id = it.id.clone();
         let mut agree = |column: &str, agrees: bool| {
             if !agrees {
-                let advice = format!("is another one than in the rows of `{id}` before: a weighing has one");
+                let advice =
+                    format!("is another one than in the rows of `{id}` before: a weighing has one");
                 check.keep::<()>(Err(at(row, column, advice)));
             }
         };
@@ -253,13 +271,18 @@ impl Gathered {
         agree("target_mg", same(&mut it.target_mg, target_mg));
         if let Some(before) = it.readings.last() {
             if reading.t_s < before.t_s {
-                let advice = format!("runs backwards in weighing `{id}`, from {} to {} s", before.t_s, reading.t_s);
+                let advice = format!(
+                    "runs backwards in weighing `{id}`, from {} to {} s",
+                    before.t_s, reading.t_s
+                );
                 check.keep::<()>(Err(at(row, "t_s", advice)));
             }
             if let (Some(before), Some(now)) = (before.shake_index, reading.shake_index)
                 && now < before
             {
-                let advice = format!("falls from {before} to {now} in weighing `{id}`: shakes are counted up");
+                let advice = format!(
+                    "falls from {before} to {now} in weighing `{id}`: shakes are counted up"
+                );
                 check.keep::<()>(Err(at(row, "shake_index", advice)));
             }
         }
@@ -268,8 +291,9 @@ impl Gathered {
         }
         // The readings before the first shake are not a shake.
         if self.shakes > SHAKES_MAX + 1 {
-            let advice =
-                format!("is one shake too many: at most {SHAKES_MAX} of a weighing are judged together; split it");
+            let advice = format!(
+                "is one shake too many: at most {SHAKES_MAX} of a weighing are judged together; split it"
+            );
             check.keep::<()>(Err(at(row, "shake_index", advice)));
         }
         check.refusals()?;
@@ -297,7 +321,15 @@ mod tests {
     /// A dose of 20 shakes, with two readings after each, on a day that is given once.
     fn dose(id: &str) -> String {
         (0..40)
-            .map(|k| format!("{id},{}.5,{}.1,{},{}\n", k, k / 2, k / 2, if k == 0 { "monday" } else { "" }))
+            .map(|k| {
+                format!(
+                    "{id},{}.5,{}.1,{},{}\n",
+                    k,
+                    k / 2,
+                    k / 2,
+                    if k == 0 { "monday" } else { "" }
+                )
+            })
             .collect()
     }
 
@@ -328,7 +360,11 @@ mod tests {
             (second.t_s, second.balance_mg, second.shake_index, second.shake_mm),
             (1.5, 3.25, Some(1), Some(6.0))
         );
-        assert_eq!((second.stable, second.relative_humidity_pct), (None, None), "an empty cell is missing");
+        assert_eq!(
+            (second.stable, second.relative_humidity_pct),
+            (None, None),
+            "an empty cell is missing"
+        );
         assert_eq!((b.readings[0].stable, z.readings[0].stable), (Some(true), Some(false)));
         assert_eq!((z.kind, z.readings.len()), (Kind::Zero, 40));
     }
@@ -339,14 +375,27 @@ mod tests {
         assert_eq!(read(&good).unwrap().traces.weighings[0].session.as_deref(), Some("monday"));
         let changed = |from: &str, to: &str| refused(&good.replacen(from, to, 1));
         assert_eq!(changed("a,3.5,1.1", "a,1.5,1.1"), ["row[5].t_s"], "time runs backwards");
-        assert_eq!(changed("a,3.5,1.1,1", "a,3.5,1.1,0"), ["row[5].shake_index"], "shakes are counted up");
+        assert_eq!(
+            changed("a,3.5,1.1,1", "a,3.5,1.1,0"),
+            ["row[5].shake_index"],
+            "shakes are counted up"
+        );
         assert_eq!(changed("a,3.5,1.1", "a,3.5,1.1 g"), ["row[5].balance_mg"], "another unit");
         assert_eq!(changed("a,3.5,1.1", "a,NaN,1.1"), ["row[5].t_s"]);
-        assert_eq!(changed("a,3.5,1.1", ",,"), ["row[5].weighing_id", "row[5].t_s", "row[5].balance_mg"]);
+        assert_eq!(
+            changed("a,3.5,1.1", ",,"),
+            ["row[5].weighing_id", "row[5].t_s", "row[5].balance_mg"]
+        );
         assert_eq!(changed("a,3.5,1.1,1", "a,3.5,1.1,1.5"), ["row[5].shake_index"]);
         assert_eq!(changed("a,3.5,1.1,1", "a,3.5,1.1,-1"), ["row[5].shake_index"]);
-        assert_eq!(changed("a,3.5,1.1,1,", "a,3.5,1.1,1,tuesday"), ["row[5].session"], "a weighing has one day");
-        let with = |column: &str, cell: &str| refused(&format!("weighing_id,t_s,balance_mg,{column}\na,0,1,{cell}\n"));
+        assert_eq!(
+            changed("a,3.5,1.1,1,", "a,3.5,1.1,1,tuesday"),
+            ["row[5].session"],
+            "a weighing has one day"
+        );
+        let with = |column: &str, cell: &str| {
+            refused(&format!("weighing_id,t_s,balance_mg,{column}\na,0,1,{cell}\n"))
+        };
         for (column, cell) in [
             ("kind", "tare"),
             ("stable", "perhaps"),
@@ -372,7 +421,10 @@ mod tests {
         let flat: String = (0..40).map(|k| format!("a,{k},5,0,\n")).collect();
         assert_eq!(refused(&format!("{HEADER}{flat}")), ["balance_mg"]);
         let long: String = (0..=SHAKES_MAX + 1).map(|k| format!("a,{k},{k},{k},\n")).collect();
-        assert_eq!(refused(&format!("{HEADER}{long}")), [format!("row[{}].shake_index", SHAKES_MAX + 3)]);
+        assert_eq!(
+            refused(&format!("{HEADER}{long}")),
+            [format!("row[{}].shake_index", SHAKES_MAX + 3)]
+        );
         let columns: String = (0..COLUMNS_MAX).map(|k| format!(",c{k}")).collect();
         assert_eq!(refused(&format!("weighing_id,t_s,balance_mg{columns}\n")), ["header"]);
     }

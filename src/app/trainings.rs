@@ -4,7 +4,9 @@ use super::check::Check;
 use super::jobs::{corrupt, stored};
 use super::{App, Error, Result};
 use crate::jobs::spoon::measured;
-use crate::jobs::train::{Extended, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult};
+use crate::jobs::train::{
+    Extended, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult,
+};
 use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec};
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::{Conditions, Patch, Under};
@@ -126,16 +128,21 @@ impl App {
         let levels = match (settings.order, settings.preset) {
             // Draws from the whole published box: there are no levels.
             (Order::DomainRandomisation, _) => Vec::new(),
-            (_, Preset::Flip) => self.levels_of_powders(request.powders.as_deref(), simulator).await?,
+            (_, Preset::Flip) => {
+                self.levels_of_powders(request.powders.as_deref(), simulator).await?
+            }
             (_, Preset::Paper) => self.published_levels().await?,
         };
         if let Some((under, extended)) = extended {
-            let days = extended.days(&under.conditions, DAYS, settings.seed).map_err(Error::Invalid)?;
+            let days =
+                extended.days(&under.conditions, DAYS, settings.seed).map_err(Error::Invalid)?;
             let of = |powder: Option<&str>| -> Result<Vec<Patch>> {
                 days.iter().map(|day| extended.at(powder, day).map_err(Error::Invalid)).collect()
             };
-            let own = levels.iter().map(|level| Ok((level.powder.clone(), of(Some(&level.powder))?)));
-            settings.extended = Some(Extended { days: of(None)?, powders: own.collect::<Result<_>>()?, under });
+            let own =
+                levels.iter().map(|level| Ok((level.powder.clone(), of(Some(&level.powder))?)));
+            settings.extended =
+                Some(Extended { days: of(None)?, powders: own.collect::<Result<_>>()?, under });
             settings = settings.checked()?;
         }
         let spec = TrainingSpec { levels, settings, simulator: SIMULATOR.to_owned() };
@@ -161,7 +168,11 @@ impl App {
         }
     }
 
-    async fn levels_of_powders(&self, powders: Option<&[String]>, simulator: Option<&str>) -> Result<Vec<Level>> {
+    async fn levels_of_powders(
+        &self,
+        powders: Option<&[String]>,
+        simulator: Option<&str>,
+    ) -> Result<Vec<Level>> {
         let powders = match powders {
             Some(powders) => powders.to_vec(),
             None => POWDERS.map(str::to_owned).to_vec(),
@@ -225,7 +236,11 @@ impl App {
     }
 
     /// Episodes of a training in order; up to 5000 per page.
-    pub async fn training_episodes(&self, training: &str, page: PageQuery) -> Result<Page<Episode>> {
+    pub async fn training_episodes(
+        &self,
+        training: &str,
+        page: PageQuery,
+    ) -> Result<Page<Episode>> {
         self.training(training).await?;
         Ok(self.store().episodes(training, page.window(SERIES_LIMIT_MAX)?).await?)
     }
@@ -243,11 +258,16 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
         if powders.is_empty() || powders.len() > POWDERS_MAX || unique.len() < powders.len() {
             check.refuse(
                 "powders",
-                format!("must name 1 to {POWDERS_MAX} powders, each once; leave it out for the default"),
+                format!(
+                    "must name 1 to {POWDERS_MAX} powders, each once; leave it out for the default"
+                ),
             );
         }
         if request.preset == Preset::Paper || request.order == Order::DomainRandomisation {
-            check.refuse("powders", "does not go with the `paper` preset or `domain-randomisation`: leave it out");
+            check.refuse(
+                "powders",
+                "does not go with the `paper` preset or `domain-randomisation`: leave it out",
+            );
         }
     }
     check.done()?;
@@ -256,7 +276,8 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
         settings = settings.going_on_from(from.clone());
     }
     settings.episodes = request.episodes.unwrap_or(settings.episodes);
-    settings.surrogate_episodes = request.surrogate_episodes.unwrap_or_else(|| settings.surrogate_by_default());
+    settings.surrogate_episodes =
+        request.surrogate_episodes.unwrap_or_else(|| settings.surrogate_by_default());
     // Episodes take seconds of work, a checkpoint a fraction of one.
     let rounds = (EPISODES_PER_CHECKPOINT / settings.episodes_per_round).max(1);
     settings.rounds_per_checkpoint = settings.rounds_per_checkpoint.min(rounds);
@@ -265,8 +286,8 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
 
 /// The error for a powder without sets, with the command that finds some.
 pub(super) fn without_sets(powder: &str, simulator: Option<&str>) -> String {
-    let (of, with) =
-        simulator.map_or_else(Default::default, |id| (format!(" under {id}"), format!(" --simulator {id}")));
+    let (of, with) = simulator
+        .map_or_else(Default::default, |id| (format!(" under {id}"), format!(" --simulator {id}")));
     format!("`{powder}` has no parameter set{of}: run `flip calibrate --powder {powder}{with}`")
 }
 
@@ -277,7 +298,9 @@ fn level(powder: String, repose_deg: Option<f64>, sets: &[CalibratedSet]) -> Lev
 }
 
 fn training(row: JobRow) -> Result<Training> {
-    let JobSpec::Training(spec) = stored(&row.spec)? else { return Err(corrupt("a training's specification")) };
+    let JobSpec::Training(spec) = stored(&row.spec)? else {
+        return Err(corrupt("a training's specification"));
+    };
     let level = |level: Level| TrainingLevel {
         powder: level.powder,
         repose_deg: level.repose_deg,
@@ -290,7 +313,8 @@ fn training(row: JobRow) -> Result<Training> {
         episodes: spec.settings.episodes,
         levels: spec.levels.into_iter().map(level).collect(),
         under: spec.settings.extended.as_ref().map(|extended| extended.under.clone()),
-        settings: serde_json::to_value(spec.settings).map_err(|error| Error::Internal(error.into()))?,
+        settings: serde_json::to_value(spec.settings)
+            .map_err(|error| Error::Internal(error.into()))?,
         result: row.result.as_deref().map(stored).transpose()?,
     })
 }

@@ -54,10 +54,14 @@ impl App {
         }
         check.done()?;
         let bench = self.jobs_or_refuse()?.bench();
-        let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        let row =
+            self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         let weighing = row.weighing;
         if weighing.outcome.is_some() {
-            return Err(Error::conflict("weighing_finished", format!("weighing {id} has ended: it needs no vial")));
+            return Err(Error::conflict(
+                "weighing_finished",
+                format!("weighing {id} has ended: it needs no vial"),
+            ));
         }
         if weighing.state != WeighingState::AwaitingVial {
             return Err(not_its_turn(id, self.turn()?));
@@ -65,7 +69,8 @@ impl App {
         if let (Some(wanted), Some(said)) = (&weighing.asked.vial, &request.vial)
             && wanted != said
         {
-            let advice = format!("weighing {id} is for vial `{wanted}`, and `{said}` was said to be in");
+            let advice =
+                format!("weighing {id} is for vial `{wanted}`, and `{said}` was said to be in");
             return Err(Error::conflict("vial_differs", advice));
         }
         let vial = request.vial.or_else(|| weighing.asked.vial.clone());
@@ -92,7 +97,8 @@ impl App {
         check.count("seconds", request.seconds, 1, SECONDS_MAX);
         check.done()?;
         let ReservationRequest { owner, seconds, id } = &request;
-        let reserved = self.jobs_or_refuse()?.bench().reserve(id.as_deref(), owner, *seconds).await?;
+        let reserved =
+            self.jobs_or_refuse()?.bench().reserve(id.as_deref(), owner, *seconds).await?;
         reserved.map_err(refused)
     }
 
@@ -122,16 +128,20 @@ impl App {
 pub(super) fn refused(why: Refused) -> Error {
     match why {
         Refused::Reserved(Reservation { owner, until, .. }) => {
-            let advice =
-                format!("{owner} has the bench for himself until {until}: name his reservation, or wait until it ends");
+            let advice = format!(
+                "{owner} has the bench for himself until {until}: name his reservation, or wait until it ends"
+            );
             Error::conflict("bench_reserved", advice)
         }
         Refused::Ended(id) => {
-            let advice = format!("reservation {id} has ended or never was: others may have used the bench since");
+            let advice = format!(
+                "reservation {id} has ended or never was: others may have used the bench since"
+            );
             Error::conflict("reservation_ended", advice)
         }
         Refused::InUse(id) => {
-            let advice = format!("weighing {id} was asked for before: reserve the bench when nothing waits");
+            let advice =
+                format!("weighing {id} was asked for before: reserve the bench when nothing waits");
             Error::conflict("bench_in_use", advice)
         }
     }

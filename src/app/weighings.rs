@@ -111,10 +111,15 @@ impl App {
     /// # Errors
     /// `Invalid`, `Unprocessable` (the key belongs to another request), `Busy` (64 are waiting),
     /// `Conflict` (`calibration_missing`).
-    pub async fn start_weighing(&self, request: WeighingRequest, idempotency_key: &str) -> Result<(Weighing, bool)> {
+    pub async fn start_weighing(
+        &self,
+        request: WeighingRequest,
+        idempotency_key: &str,
+    ) -> Result<(Weighing, bool)> {
         check_key(idempotency_key)?;
         let request_sha256 =
-            Sha256::digest(serde_json::to_vec(&request).map_err(|e| Error::Internal(e.into()))?).to_vec();
+            Sha256::digest(serde_json::to_vec(&request).map_err(|e| Error::Internal(e.into()))?)
+                .to_vec();
         if let Some(first) = self.store().weighing_by_key(idempotency_key).await? {
             return replay(first, &request_sha256, idempotency_key);
         }
@@ -122,23 +127,32 @@ impl App {
         let reservation = request.reservation.clone();
         let (request, parameter_set) = self.plan(request).await?;
         let key = idempotency_key.to_owned();
-        let intent = Intent { id: new_id(), idempotency_key: key, request_sha256, request, parameter_set };
+        let intent =
+            Intent { id: new_id(), idempotency_key: key, request_sha256, request, parameter_set };
         self.commit(intent, reservation.as_deref()).await
     }
 
     /// Validates a request and makes every choice that it leaves open.
     async fn plan(&self, request: WeighingRequest) -> Result<(WeighRequest, String)> {
         let (target_mg, tolerance) = masses(&request)?;
-        super::provable::check(target_mg, tolerance, self.jobs_or_refuse()?.bench().readability_mg())?;
+        super::provable::check(
+            target_mg,
+            tolerance,
+            self.jobs_or_refuse()?.bench().readability_mg(),
+        )?;
         check_asked(&request.asked)?;
-        if request.asked.on_overdose != OnOverdose::Stop && !self.jobs_or_refuse()?.bench().kind().exchanges_vials() {
+        if request.asked.on_overdose != OnOverdose::Stop
+            && !self.jobs_or_refuse()?.bench().kind().exchanges_vials()
+        {
             let advice = "must be `stop`: this bench cannot exchange vials by itself";
             return Err(FieldError::new("asked.on_overdose", advice).into());
         }
         let powder = self.powder_of("powder", &request.powder).await?.id;
         let every = PageQuery::first(LIST_LIMIT_MAX).window(LIST_LIMIT_MAX)?;
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
-        let day = extended.as_ref().map(|(under, extended)| extended.at(Some(&powder), &under.conditions));
+        let day = extended
+            .as_ref()
+            .map(|(under, extended)| extended.at(Some(&powder), &under.conditions));
         let patch = day.transpose().map_err(Error::Invalid)?.unwrap_or_default();
         let under = extended.map(|it| it.0);
         let simulator = under.as_ref().map(|under| under.simulator.as_str());
@@ -196,7 +210,11 @@ impl App {
             }
         };
         self.store().policy(&id).await?.ok_or_else(|| {
-            FieldError::new("policy", format!("there is no policy `{id}`: GET /v1/policies lists them")).into()
+            FieldError::new(
+                "policy",
+                format!("there is no policy `{id}`: GET /v1/policies lists them"),
+            )
+            .into()
         })
     }
 
@@ -215,7 +233,9 @@ impl App {
             return Err(latched(&latch));
         }
         if tx.planned_weighings().await? >= WAITING_MAX {
-            let advice = format!("{WAITING_MAX} weighings are waiting for the bench: try again when some are done");
+            let advice = format!(
+                "{WAITING_MAX} weighings are waiting for the bench: try again when some are done"
+            );
             return Err(Error::Busy(advice));
         }
         let weighing = tx.insert_weighing(&intent, now()).await?;
@@ -226,7 +246,8 @@ impl App {
 
     /// One weighing with its ticks.
     pub async fn weighing(&self, id: &str) -> Result<WeighingDetail> {
-        let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        let row =
+            self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         let (ticks, trace_lost) = match &row.trace {
             Some(trace) => match self.stored_ticks(trace) {
                 Ok(ticks) => (ticks, None),
@@ -239,7 +260,8 @@ impl App {
     }
 
     fn stored_ticks(&self, trace: &str) -> Result<Vec<Tick>> {
-        let bytes = self.store().artifacts().get(trace).map_err(|error| Error::of_part(TRACE, error))?;
+        let bytes =
+            self.store().artifacts().get(trace).map_err(|error| Error::of_part(TRACE, error))?;
         // Its hash is correct, so it was written like this.
         serde_json::from_slice(&bytes).map_err(|error| Error::Internal(error.into()))
     }
@@ -277,12 +299,16 @@ impl App {
         if let Some(weighing) = self.halt_weighing(id, None)? {
             return Ok(weighing);
         }
-        let row = self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
+        let row =
+            self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         if row.weighing.outcome.is_none() {
             // It is at rest, and its end is about to be recorded.
             return Ok(row.weighing);
         }
-        Err(Error::conflict("weighing_finished", format!("weighing {id} has ended: there is nothing to stop")))
+        Err(Error::conflict(
+            "weighing_finished",
+            format!("weighing {id} has ended: there is nothing to stop"),
+        ))
     }
 }
 
@@ -298,7 +324,8 @@ pub(super) fn latched(latch: &Latch) -> Error {
 /// Checks the purpose and circumstances of a weighing; returns all errors.
 fn check_asked(asked: &Asked) -> Result<()> {
     let mut check = Check::default();
-    for (field, text) in [("lot", &asked.lot), ("vial", &asked.vial), ("operator", &asked.operator)] {
+    for (field, text) in [("lot", &asked.lot), ("vial", &asked.vial), ("operator", &asked.operator)]
+    {
         if let Some(text) = text {
             check.text(&format!("asked.{field}"), text, 200);
         }
@@ -345,36 +372,52 @@ fn masses(request: &WeighingRequest) -> Result<(f64, (f64, f64))> {
         "g" => Some(1000.0),
         _ => None,
     };
-    let target_mg = match in_mg(&request.target.unit) {
-        Some(factor) => {
-            let value = request.target.value * factor;
-            let checked = bounded("target.value", value, TARGET_MG_MIN, f64::MAX, "mg");
-            let advice = "must be at least 0.1 mg and at most what the spoon holds";
-            check.keep(checked.map_err(|error| FieldError::new(error.field, format!("{advice}, got {value} mg"))))
-        }
-        None => {
-            check.refuse("target.unit", format!("must be `mg` or `g`, got `{}`", shown(&request.target.unit)));
-            None
-        }
-    };
+    let target_mg =
+        match in_mg(&request.target.unit) {
+            Some(factor) => {
+                let value = request.target.value * factor;
+                let checked = bounded("target.value", value, TARGET_MG_MIN, f64::MAX, "mg");
+                let advice = "must be at least 0.1 mg and at most what the spoon holds";
+                check.keep(checked.map_err(|error| {
+                    FieldError::new(error.field, format!("{advice}, got {value} mg"))
+                }))
+            }
+            None => {
+                check.refuse(
+                    "target.unit",
+                    format!("must be `mg` or `g`, got `{}`", shown(&request.target.unit)),
+                );
+                None
+            }
+        };
     let factor = match (request.tolerance.unit.as_str(), target_mg) {
         ("%", target) => target.map(|mg| mg / 100.0),
         (unit, _) => in_mg(unit),
     };
     if factor.is_none() && request.tolerance.unit != "%" {
-        check.refuse("tolerance.unit", format!("must be `mg`, `g` or `%`, got `{}`", shown(&request.tolerance.unit)));
+        check.refuse(
+            "tolerance.unit",
+            format!("must be `mg`, `g` or `%`, got `{}`", shown(&request.tolerance.unit)),
+        );
     }
-    for (field, value) in [("tolerance.lower", request.tolerance.lower), ("tolerance.upper", request.tolerance.upper)] {
+    for (field, value) in
+        [("tolerance.lower", request.tolerance.lower), ("tolerance.upper", request.tolerance.upper)]
+    {
         let limit = factor.zip(target_mg).map_or(f64::MAX, |(factor, target)| target / factor);
         if !(value.is_finite() && (0.0..=limit).contains(&value)) {
             check.refuse(
                 field,
-                format!("must be from 0 to the target itself, got {value} {}", shown(&request.tolerance.unit)),
+                format!(
+                    "must be from 0 to the target itself, got {value} {}",
+                    shown(&request.tolerance.unit)
+                ),
             );
         }
     }
     check.done()?;
-    let (Some(target_mg), Some(factor)) = (target_mg, factor) else { unreachable!("checked above") };
+    let (Some(target_mg), Some(factor)) = (target_mg, factor) else {
+        unreachable!("checked above")
+    };
     Ok((target_mg, (request.tolerance.lower * factor, request.tolerance.upper * factor)))
 }
 

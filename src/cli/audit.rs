@@ -3,7 +3,9 @@
 use super::Common;
 use super::failure::Failure;
 use super::session::{beside, with_reader};
-use crate::app::{AUDIT_CSV_HEADER, Archived, AuditVerification, ChangedOther, ChangedRow, LostArchive, audit_csv};
+use crate::app::{
+    AUDIT_CSV_HEADER, Archived, AuditVerification, ChangedOther, ChangedRow, LostArchive, audit_csv,
+};
 use clap::ValueEnum;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -74,7 +76,9 @@ struct Written {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.what {
         What::Verify { hash } => verify(common, hash.as_deref()),
-        What::Export { weighing, format, out } => export(common, weighing.as_deref(), *format, out.clone()),
+        What::Export { weighing, format, out } => {
+            export(common, weighing.as_deref(), *format, out.clone())
+        }
         What::Archive { before } => {
             let done = beside(common, async |app| Ok(app.archive_audit(before).await?))?;
             common.print(&done, || archived(&done))
@@ -116,12 +120,16 @@ fn is_whole(found: &AuditVerification) -> bool {
 fn text(found: &AuditVerification) -> String {
     let rows = differences(found);
     let state = match (&found.broken, found.holds_hash) {
-        (Some(broken), _) if rows.is_empty() => format!("broken at record {}: {}", broken.seq, broken.why),
+        (Some(broken), _) if rows.is_empty() => {
+            format!("broken at record {}: {}", broken.seq, broken.why)
+        }
         (Some(_), _) if found.changed.is_empty() && found.others.is_empty() => {
             format!("whole but for what is lost:{rows}")
         }
         (Some(_), _) => format!("whole, but results or other rows differ from it:{rows}"),
-        (None, Some(false)) => "whole, but it does not hold that hash: records were cut off".to_owned(),
+        (None, Some(false)) => {
+            "whole, but it does not hold that hash: records were cut off".to_owned()
+        }
         (None, _) => "whole".to_owned(),
     };
     format!("{} records, {state}\nlast hash {}", found.records, found.last_hash)
@@ -129,22 +137,36 @@ fn text(found: &AuditVerification) -> String {
 
 /// Lost and differing records, one per line.
 fn differences(found: &AuditVerification) -> String {
-    let archive =
-        |it: &LostArchive| format!("\n  archive {} (records {} to {}): {}", it.file, it.first, it.last, it.why);
+    let archive = |it: &LostArchive| {
+        format!("\n  archive {} (records {} to {}): {}", it.file, it.first, it.last, it.why)
+    };
     let row = |it: &ChangedRow| format!("\n  weighing {}: {}", it.weighing, it.why);
-    let other = |it: &ChangedOther| format!("\n  {} {}: {}", it.what.name().replace('_', " "), it.id, it.why);
-    let lines =
-        found.archives.iter().map(archive).chain(found.changed.iter().map(row)).chain(found.others.iter().map(other));
+    let other = |it: &ChangedOther| {
+        format!("\n  {} {}: {}", it.what.name().replace('_', " "), it.id, it.why)
+    };
+    let lines = found
+        .archives
+        .iter()
+        .map(archive)
+        .chain(found.changed.iter().map(row))
+        .chain(found.others.iter().map(other));
     lines.collect()
 }
 
-fn export(common: &Common, weighing: Option<&str>, format: Format, out: PathBuf) -> Result<(), Failure> {
+fn export(
+    common: &Common,
+    weighing: Option<&str>,
+    format: Format,
+    out: PathBuf,
+) -> Result<(), Failure> {
     let (text, records) = with_reader(common, async |app| {
         let mut all = Vec::new();
         app.export_audit(weighing, |record| all.push(record.clone())).await?;
         let text = match format {
             Format::Json => serde_json::to_string_pretty(&all)?,
-            Format::Csv => AUDIT_CSV_HEADER.to_owned() + &all.iter().map(audit_csv).collect::<String>(),
+            Format::Csv => {
+                AUDIT_CSV_HEADER.to_owned() + &all.iter().map(audit_csv).collect::<String>()
+            }
         };
         Ok((text, all.len()))
     })?;

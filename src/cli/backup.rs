@@ -41,17 +41,32 @@ pub(super) fn run_restore(common: &Common, arguments: &RestoreArguments) -> Resu
 }
 
 fn text(made: &Copied) -> String {
-    let Copied { folder, database_bytes, files, lost, damaged, records, last_hash, audit_broken, held, revoked_tokens } =
-        made;
+    let Copied {
+        folder,
+        database_bytes,
+        files,
+        lost,
+        damaged,
+        records,
+        last_hash,
+        audit_broken,
+        held,
+        revoked_tokens,
+    } = made;
     let is_whole = lost.is_empty() && audit_broken.is_none();
     let copy = if is_whole { "a whole copy" } else { "a copy of what is not whole any more" };
     let mut text = format!(
         "{} holds {copy}: {database_bytes} bytes of database, {files} files, {records} records\nlast hash {last_hash}",
         folder.display()
     );
-    let gone: Vec<&str> = lost.iter().filter(|file| !damaged.contains(file)).map(String::as_str).collect();
+    let gone: Vec<&str> =
+        lost.iter().filter(|file| !damaged.contains(file)).map(String::as_str).collect();
     if !gone.is_empty() {
-        text += &format!("\n{} files that it names are lost in the original already: {}", gone.len(), gone.join(", "));
+        text += &format!(
+            "\n{} files that it names are lost in the original already: {}",
+            gone.len(),
+            gone.join(", ")
+        );
     }
     if !damaged.is_empty() {
         text += &format!(
@@ -64,7 +79,9 @@ fn text(made: &Copied) -> String {
         text += &format!("\nits audit trail is kept as it is, and is not what was written: {why}");
     }
     if let Some(why) = held {
-        text += &format!("\nthe bench is held, {why} (`flip bench resume`, after a look at `flip bench status`)");
+        text += &format!(
+            "\nthe bench is held, {why} (`flip bench resume`, after a look at `flip bench status`)"
+        );
     }
     match revoked_tokens {
         Some(0) | None => {}
@@ -110,11 +127,15 @@ mod tests {
         let poorer = text(&Copied { lost: vec![gone, bad.clone()], damaged: vec![bad], ..whole });
         assert!(!poorer.contains("a whole copy"), "{poorer}");
         assert!(
-            poorer.contains("1 files that it names are lost in the original already: audit/1.jsonl.gz\n"),
+            poorer.contains(
+                "1 files that it names are lost in the original already: audit/1.jsonl.gz\n"
+            ),
             "{poorer}"
         );
         assert!(
-            poorer.contains("damaged in the original already and were copied as they are: audit/2.jsonl.gz"),
+            poorer.contains(
+                "damaged in the original already and were copied as they are: audit/2.jsonl.gz"
+            ),
             "{poorer}"
         );
     }

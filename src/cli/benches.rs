@@ -41,7 +41,9 @@ impl BenchArguments {
 /// Reminds the user of what only a person does on this bench.
 fn remind(file: &BenchFile) {
     if file.spoon.filled_by == FilledBy::Hand {
-        telemetry::say("flip: this bench's arm does not fill its spoon: fill it by hand before each dose begins");
+        telemetry::say(
+            "flip: this bench's arm does not fill its spoon: fill it by hand before each dose begins",
+        );
     }
 }
 
@@ -49,7 +51,10 @@ fn remind(file: &BenchFile) {
 pub(super) fn read(field: &str, path: &Path) -> Result<BenchFile, Failure> {
     let text = std::fs::read_to_string(path).map_err(|error| {
         let kinds = if field == "bench" { "`simulated`, `emulated` or " } else { "" };
-        FieldError::new(field, format!("must be {kinds}a file that can be read; {}: {error}", path.display()))
+        FieldError::new(
+            field,
+            format!("must be {kinds}a file that can be read; {}: {error}", path.display()),
+        )
     })?;
     Ok(BenchFile::parse(&text)?)
 }

@@ -7,8 +7,8 @@ use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE, observe};
 use crate::app::{
-    App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Marginal, Observed, PAPER_LEVELS_DEG, Pair,
-    Posterior,
+    App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Marginal, Observed,
+    PAPER_LEVELS_DEG, Pair, Posterior,
 };
 use clap::ValueEnum;
 use flip_core::domain::FieldError;
@@ -187,34 +187,48 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let mut search = arguments.search.clone().by(MethodFlag::Emulator);
     if arguments.data_set {
         search.sets = search.sets.or(Some(DATA_SET_SETS));
-        search.verify_particles = search.verify_particles.or(Some(search.particles.saturating_mul(DATA_SET_LARGER)));
+        search.verify_particles =
+            search.verify_particles.or(Some(search.particles.saturating_mul(DATA_SET_LARGER)));
     }
-    let typed: Vec<Observation> =
-        arguments.observation.iter().map(|text| observe::observation(text)).collect::<Result<_, _>>()?;
+    let typed: Vec<Observation> = arguments
+        .observation
+        .iter()
+        .map(|text| observe::observation(text))
+        .collect::<Result<_, _>>()?;
     let conditions = arguments.extended.conditions()?;
     let observations = (!typed.is_empty()).then_some(typed);
     let done = with_app(common, async |app| {
         let targets = targets(app, arguments).await?;
         if observations.is_some() && targets.len() > 1 {
-            return Err(
-                FieldError::new("observation", "belongs to one powder: name it with --powder or --repose-deg").into()
-            );
+            return Err(FieldError::new(
+                "observation",
+                "belongs to one powder: name it with --powder or --repose-deg",
+            )
+            .into());
         }
         let requests = targets.into_iter().map(|target| {
             let request = request(&target, Some(&search), common.seed);
-            let (simulator, conditions) = (arguments.extended.simulator.clone(), conditions.clone());
-            let request = CalibrationRequest { observations: observations.clone(), simulator, conditions, ..request };
+            let (simulator, conditions) =
+                (arguments.extended.simulator.clone(), conditions.clone());
+            let request = CalibrationRequest {
+                observations: observations.clone(),
+                simulator,
+                conditions,
+                ..request
+            };
             (target, request)
         });
         let mut done = Vec::new();
         for calibration in calibrate_each(app, &Watch::new(), requests.collect()).await? {
             let has = calibration.result.as_ref().is_some_and(|result| result.posterior.is_some());
-            let posterior = if has { Some(app.posterior(&calibration.job.id).await?) } else { None };
+            let posterior =
+                if has { Some(app.posterior(&calibration.job.id).await?) } else { None };
             done.push((calibration, posterior));
         }
         Ok(done)
     })?;
-    let powders = done.into_iter().map(|(it, posterior)| powder(it, posterior)).collect::<Result<_, _>>()?;
+    let powders =
+        done.into_iter().map(|(it, posterior)| powder(it, posterior)).collect::<Result<_, _>>()?;
     let document = Document { seed: common.seed, powders };
     common.print(&document, || text(&document))
 }
@@ -255,10 +269,15 @@ async fn calibrate_each(
 
 fn request(target: &Target, search: Option<&Search>, seed: u64) -> CalibrationRequest {
     let bare = match target {
-        Target::Powder(powder) => CalibrationRequest { powder: Some(powder.clone()), ..Default::default() },
-        Target::Angle(angle, sd_deg, n) => {
-            CalibrationRequest { repose_deg: Some(*angle), sd_deg: *sd_deg, n: *n, ..Default::default() }
+        Target::Powder(powder) => {
+            CalibrationRequest { powder: Some(powder.clone()), ..Default::default() }
         }
+        Target::Angle(angle, sd_deg, n) => CalibrationRequest {
+            repose_deg: Some(*angle),
+            sd_deg: *sd_deg,
+            n: *n,
+            ..Default::default()
+        },
     };
     CalibrationRequest {
         // Calibrations made as a prerequisite need sets, not the angle to a tenth of a degree.
@@ -281,7 +300,8 @@ fn request(target: &Target, search: Option<&Search>, seed: u64) -> CalibrationRe
 
 async fn targets(app: &App, arguments: &Arguments) -> Result<Vec<Target>, Failure> {
     let Arguments { powder, repose_deg, sd_deg, n, .. } = arguments;
-    let levels = || PAPER_LEVELS_DEG.iter().map(|angle| Target::Angle(*angle, *sd_deg, *n)).collect();
+    let levels =
+        || PAPER_LEVELS_DEG.iter().map(|angle| Target::Angle(*angle, *sd_deg, *n)).collect();
     match powder.as_deref() {
         None if repose_deg.is_empty() => Ok(levels()),
         None => Ok(repose_deg.iter().map(|angle| Target::Angle(*angle, *sd_deg, *n)).collect()),
@@ -294,8 +314,9 @@ async fn targets(app: &App, arguments: &Arguments) -> Result<Vec<Target>, Failur
 }
 
 fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powder, Failure> {
-    let result =
-        calibration.result.ok_or_else(|| anyhow::anyhow!("calibration {} has no result", calibration.job.id))?;
+    let result = calibration
+        .result
+        .ok_or_else(|| anyhow::anyhow!("calibration {} has no result", calibration.job.id))?;
     let set = |set: crate::app::CalibrationSet| Set {
         id: set.id,
         parameters: set.parameters,
@@ -306,7 +327,8 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
         verified_error_deg: set.verified_error_deg,
     };
     let errors: Vec<f64> = result.sets.iter().filter_map(|set| set.verified_error_deg).collect();
-    let standard = result.sets.iter().filter_map(|set| Some(set.repose_sd_deg? / f64::from(set.runs).sqrt()));
+    let standard =
+        result.sets.iter().filter_map(|set| Some(set.repose_sd_deg? / f64::from(set.runs).sqrt()));
     let standard: Vec<f64> = standard.collect();
     let method = calibration.settings.get("method").cloned().unwrap_or_default();
     Ok(Powder {
@@ -315,7 +337,10 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
         target_deg: calibration.target.repose_deg,
         under: calibration.under,
         reached: result.reached,
-        limiting_parameter: result.shortfall.as_ref().and_then(|shortfall| shortfall.limiting_parameter.clone()),
+        limiting_parameter: result
+            .shortfall
+            .as_ref()
+            .and_then(|shortfall| shortfall.limiting_parameter.clone()),
         nearest_repose_deg: result.shortfall.as_ref().map(|shortfall| shortfall.nearest_repose_deg),
         evaluations: result.evaluations,
         verification_runs: result.verification_runs,
@@ -325,7 +350,9 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
         verified_error_deg: result.verified_error_deg,
         verified_sd_deg: spread(&errors),
         standard_error_deg: mean(&standard),
-        verify_particles: calibration.settings["verify_particles"].as_u64().map(|count| count as u32),
+        verify_particles: calibration.settings["verify_particles"]
+            .as_u64()
+            .map(|count| count as u32),
         size_shift_deg: result.size_shift_deg,
         emulator: result.emulator,
         observed: result.observed,
@@ -345,7 +372,9 @@ pub(super) fn mean(values: &[f64]) -> Option<f64> {
 /// Sample standard deviation; none for fewer than two values.
 pub(super) fn spread(values: &[f64]) -> Option<f64> {
     let (n, centre) = (values.len() as f64, mean(values)?);
-    (n > 1.0).then(|| (values.iter().map(|value| (value - centre).powi(2)).sum::<f64>() / (n - 1.0)).sqrt())
+    (n > 1.0).then(|| {
+        (values.iter().map(|value| (value - centre).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
+    })
 }
 
 fn text(document: &Document) -> String {

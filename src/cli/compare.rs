@@ -20,7 +20,8 @@ pub(super) struct Arguments {
 /// Prints the costs and results of both, and whether their sets give the same angle of repose.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let Arguments { calibration, with } = arguments;
-    let comparison = with_reader(common, async |app| Ok(app.compare_calibrations(calibration, with).await?))?;
+    let comparison =
+        with_reader(common, async |app| Ok(app.compare_calibrations(calibration, with).await?))?;
     common.print(&comparison, || text(&comparison))
 }
 
@@ -30,9 +31,13 @@ fn short(value: f64) -> String {
 }
 
 fn text(comparison: &Comparison) -> String {
-    let Comparison { calibration: one, with: other, difference_deg, standard_error_deg, agree } = comparison;
-    let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"));
-    let row = |what: &str, of: &dyn Fn(&ComparedCalibration) -> String| vec![what.to_owned(), of(one), of(other)];
+    let Comparison { calibration: one, with: other, difference_deg, standard_error_deg, agree } =
+        comparison;
+    let number =
+        |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"));
+    let row = |what: &str, of: &dyn Fn(&ComparedCalibration) -> String| {
+        vec![what.to_owned(), of(one), of(other)]
+    };
     let mut rows = vec![
         row("powder", &|c| c.powder.clone().unwrap_or_else(|| "-".to_owned())),
         row("target deg", &|c| number(Some(c.target.repose_deg))),

@@ -80,7 +80,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 }
 
 fn text(settings: &[Setting]) -> String {
-    let line = |it: &Setting| format!("flip {} --{} {}", it.command, it.option, it.values.join(" "));
+    let line =
+        |it: &Setting| format!("flip {} --{} {}", it.command, it.option, it.values.join(" "));
     let lines: Vec<String> = settings.iter().map(|it| line(it).replace("  ", " ")).collect();
     if lines.is_empty() { "nothing is set".to_owned() } else { lines.join("\n") }
 }
@@ -99,10 +100,13 @@ pub(super) fn completed(arguments: Vec<OsString>) -> Result<Vec<OsString>, Failu
 
 fn with(settings: &[Setting], mut arguments: Vec<OsString>) -> Vec<OsString> {
     // Help and version output need no settings.
-    let Ok(typed) = Cli::command().ignore_errors(true).try_get_matches_from(&arguments) else { return arguments };
+    let Ok(typed) = Cli::command().ignore_errors(true).try_get_matches_from(&arguments) else {
+        return arguments;
+    };
     let mut command = Cli::command();
     command.build();
-    let added = settings.iter().filter(|it| it.is_wanted(&command, &typed)).flat_map(Setting::typed);
+    let added =
+        settings.iter().filter(|it| it.is_wanted(&command, &typed)).flat_map(Setting::typed);
     let added: Vec<OsString> = added.map(OsString::from).collect();
     let end = arguments.iter().position(|it| it == "--").unwrap_or(arguments.len());
     arguments.splice(end..end, added);
@@ -132,14 +136,20 @@ fn named(arguments: &[OsString]) -> Option<PathBuf> {
 /// The settings in a file, in order.
 fn read(file: &Path) -> Result<Vec<Setting>, Failure> {
     let refuse = |message: String| Failure::from(FieldError::new("config", message));
-    let text = std::fs::read_to_string(file).map_err(|e| refuse(format!("{}: {e}", file.display())))?;
-    let table: toml::Table = toml::from_str(&text).map_err(|e| refuse(format!("{}: {e}", file.display())))?;
+    let text =
+        std::fs::read_to_string(file).map_err(|e| refuse(format!("{}: {e}", file.display())))?;
+    let table: toml::Table =
+        toml::from_str(&text).map_err(|e| refuse(format!("{}: {e}", file.display())))?;
     let mut command = Cli::command();
     command.build();
     let mut found = Found::default();
     found.table(&command, &[], &table);
     found.together();
-    if found.mistakes.is_empty() { Ok(found.settings) } else { Err(Failure::BadInput(found.mistakes)) }
+    if found.mistakes.is_empty() {
+        Ok(found.settings)
+    } else {
+        Err(Failure::BadInput(found.mistakes))
+    }
 }
 
 impl Setting {
@@ -155,23 +165,33 @@ impl Setting {
             let Some(inner) = command.find_subcommand(name) else { return false };
             (command, typed) = (inner, matches);
         }
-        let Some(option) = option(command, &self.option).filter(|_| words.next().is_none()) else { return false };
-        let refuses = |a: &Arg, b: &Arg| command.get_arg_conflicts_with(a).iter().any(|it| it.get_id() == b.get_id());
+        let Some(option) = option(command, &self.option).filter(|_| words.next().is_none()) else {
+            return false;
+        };
+        let refuses = |a: &Arg, b: &Arg| {
+            command.get_arg_conflicts_with(a).iter().any(|it| it.get_id() == b.get_id())
+        };
         let mut given = command.get_arguments().filter(|it| is_given(typed, it.get_id().as_str()));
-        !given.any(|it| it.get_id() == option.get_id() || refuses(option, it) || refuses(it, option))
+        !given
+            .any(|it| it.get_id() == option.get_id() || refuses(option, it) || refuses(it, option))
     }
 
     /// As it would be typed.
     fn typed(&self) -> Vec<String> {
         let one = |value: &String| format!("--{}={value}", self.option);
-        if self.is_switch { vec![format!("--{}", self.option)] } else { self.values.iter().map(one).collect() }
+        if self.is_switch {
+            vec![format!("--{}", self.option)]
+        } else {
+            self.values.iter().map(one).collect()
+        }
     }
 }
 
 /// Clap's complaint about missing or conflicting options.
 fn complaint(words: Vec<String>) -> Vec<String> {
     let Err(error) = Cli::command().try_get_matches_from(words) else { return Vec::new() };
-    let is_ours = matches!(error.kind(), ErrorKind::MissingRequiredArgument | ErrorKind::ArgumentConflict);
+    let is_ours =
+        matches!(error.kind(), ErrorKind::MissingRequiredArgument | ErrorKind::ArgumentConflict);
     let told = [ContextKind::InvalidArg, ContextKind::PriorArg].map(|kind| match error.get(kind) {
         Some(ContextValue::Strings(all)) => all.clone(),
         Some(ContextValue::String(one)) => vec![one.clone()],
@@ -198,15 +218,24 @@ impl Found {
                 }
                 (toml::Value::Table(_), None, _) => {
                     let commands = command.get_subcommands().map(Command::get_name);
-                    self.refuse(field, format!("there is no command `{name}`{}", nearest(&name, commands)));
+                    self.refuse(
+                        field,
+                        format!("there is no command `{name}`{}", nearest(&name, commands)),
+                    );
                 }
                 (_, _, Some(_)) if SAID.contains(&name.as_str()) => {
-                    self.refuse(field, format!("`--{name}` is said by a person each time, and no file can say it"));
+                    self.refuse(
+                        field,
+                        format!("`--{name}` is said by a person each time, and no file can say it"),
+                    );
                 }
                 (_, _, Some(option)) => self.option(field, path, option, value),
                 (..) => {
                     let options = command.get_arguments().filter_map(Arg::get_long);
-                    self.refuse(field, format!("there is no option `--{name}`{}", nearest(&name, options)));
+                    self.refuse(
+                        field,
+                        format!("there is no option `--{name}`{}", nearest(&name, options)),
+                    );
                 }
             }
         }
@@ -216,7 +245,9 @@ impl Found {
         let values = match value {
             toml::Value::Array(values) => values.iter().map(plain).collect(),
             // A switch that is off keeps its default.
-            toml::Value::Boolean(false) if matches!(option.get_action(), ArgAction::SetTrue) => return,
+            toml::Value::Boolean(false) if matches!(option.get_action(), ArgAction::SetTrue) => {
+                return;
+            }
             value => vec![plain(value)],
         };
         match accepts(option, &values) {
@@ -239,11 +270,16 @@ impl Found {
             let typed = self.settings.iter().filter(of).flat_map(Setting::typed);
             let words: Vec<String> =
                 ["flip"].into_iter().chain(command.split_whitespace()).map(str::to_owned).collect();
-            let (alone, all) = (complaint(words.clone()), complaint(words.into_iter().chain(typed).collect()));
+            let (alone, all) =
+                (complaint(words.clone()), complaint(words.into_iter().chain(typed).collect()));
             let new: Vec<String> = all.iter().filter(|it| !alone.contains(it)).cloned().collect();
             if !new.is_empty() {
-                let field = if command.is_empty() { "flip".to_owned() } else { command.replace(' ', ".") };
-                self.refuse(field, format!("what is set here does not go together: {}", new.join(", ")));
+                let field =
+                    if command.is_empty() { "flip".to_owned() } else { command.replace(' ', ".") };
+                self.refuse(
+                    field,
+                    format!("what is set here does not go together: {}", new.join(", ")),
+                );
             }
         }
     }
@@ -271,7 +307,11 @@ fn plain(value: &toml::Value) -> String {
 fn accepts(option: &Arg, values: &[String]) -> Result<(), String> {
     let name = option.get_long().unwrap_or_default();
     if matches!(option.get_action(), ArgAction::SetTrue) {
-        return if values == ["true"] { Ok(()) } else { Err("is a switch: write true or false".to_owned()) };
+        return if values == ["true"] {
+            Ok(())
+        } else {
+            Err("is a switch: write true or false".to_owned())
+        };
     }
     let is_repeated = matches!(option.get_action(), ArgAction::Append);
     let one = Arg::new("it").long(name.to_owned()).value_parser(option.get_value_parser().clone());
@@ -281,7 +321,8 @@ fn accepts(option: &Arg, values: &[String]) -> Result<(), String> {
         return Err(format!("takes one value, and {} are given", values.len()));
     }
     let typed = values.iter().map(|value| format!("--{name}={value}"));
-    let typed: Vec<String> = if is_repeated { typed.collect() } else { vec![format!("--{name}={}", values.join(","))] };
+    let typed: Vec<String> =
+        if is_repeated { typed.collect() } else { vec![format!("--{name}={}", values.join(","))] };
     let words = std::iter::once("flip".to_owned()).chain(typed);
     let parsed = Command::new("flip").arg(one).try_get_matches_from(words);
     parsed.map(drop).map_err(|error| {
@@ -368,7 +409,9 @@ mod tests {
 
     #[test]
     fn what_is_typed_puts_aside_what_it_cannot_stand_beside() {
-        let told = |words: &[&str]| format!("{:?}", parsed("[calibrate]\npowder = \"salt\"\n", words).command);
+        let told = |words: &[&str]| {
+            format!("{:?}", parsed("[calibrate]\npowder = \"salt\"\n", words).command)
+        };
         let typed = told(&["flip", "calibrate", "--repose-deg", "30"]);
         assert!(typed.contains("30.0") && !typed.contains("salt"), "{typed}");
         assert!(told(&["flip", "calibrate"]).contains("salt"));
@@ -400,14 +443,25 @@ mod tests {
         let mut options = 0;
         for sub in command.get_subcommands() {
             for arg in sub.get_arguments() {
-                let Some(option) = arg.get_long().and_then(|name| option(sub, name)) else { continue };
-                let values: Vec<String> =
-                    option.get_default_values().iter().map(|it| it.to_string_lossy().into_owned()).collect();
+                let Some(option) = arg.get_long().and_then(|name| option(sub, name)) else {
+                    continue;
+                };
+                let values: Vec<String> = option
+                    .get_default_values()
+                    .iter()
+                    .map(|it| it.to_string_lossy().into_owned())
+                    .collect();
                 let is_switch = matches!(option.get_action(), ArgAction::SetTrue);
                 if values.is_empty() || is_switch {
                     continue;
                 }
-                assert_eq!(accepts(option, &values), Ok(()), "{} --{:?}", sub.get_name(), option.get_long());
+                assert_eq!(
+                    accepts(option, &values),
+                    Ok(()),
+                    "{} --{:?}",
+                    sub.get_name(),
+                    option.get_long()
+                );
                 options += 1;
             }
         }

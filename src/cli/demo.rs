@@ -14,8 +14,8 @@ use super::watch::Watch;
 use super::weigh::{request, weigh};
 use crate::api::ServeError;
 use crate::app::{
-    App, Calibration, Options, Order, Preset, TrainingRequest, TrainingResult, Weighing, WeighingRequest, Who, Workers,
-    acting,
+    App, Calibration, Options, Order, Preset, TrainingRequest, TrainingResult, Weighing,
+    WeighingRequest, Who, Workers, acting,
 };
 use crate::telemetry;
 use flip_core::domain::powder::PUBLISHED;
@@ -114,7 +114,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 
 /// Serves in the background until `stop`. A demonstration that ends by itself can do without a port
 /// that is taken.
-fn serve(app: &App, arguments: &Arguments, stop: &CancellationToken) -> Result<Option<Service>, Failure> {
+fn serve(
+    app: &App,
+    arguments: &Arguments,
+    stop: &CancellationToken,
+) -> Result<Option<Service>, Failure> {
     let server = match serve::bind(app, &arguments.address) {
         Err(Failure::Failed(error)) if arguments.exit => {
             telemetry::say(format_args!("flip: going on without the page: {error:#}"));
@@ -164,18 +168,29 @@ async fn attended(
 }
 
 /// Calibrates, trains, weighs.
-async fn demonstrate(app: &App, common: &Common, arguments: &Arguments) -> Result<Document, Failure> {
+async fn demonstrate(
+    app: &App,
+    common: &Common,
+    arguments: &Arguments,
+) -> Result<Document, Failure> {
     let (began, watch) = (Instant::now(), Watch::new());
     let targets = PUBLISHED.map(|powder| Target::Powder(powder.id.to_owned()));
     watch.say(&told(&first_dose(app, &watch, common).await?));
-    let calibrations = calibrate(app, &watch, &targets, Some(&arguments.search), None, common.seed).await?;
+    let calibrations =
+        calibrate(app, &watch, &targets, Some(&arguments.search), None, common.seed).await?;
     let learned = learn(app, &watch, common, arguments).await?;
     let mut rows = Vec::new();
     for (powder, calibration) in PUBLISHED.iter().zip(&calibrations) {
         let with_trained = dose(app, &watch, common, powder.id, Some(&learned.policy)).await?;
-        rows.push(row(calibration, dose(app, &watch, common, powder.id, None).await?, &with_trained)?);
+        rows.push(row(
+            calibration,
+            dose(app, &watch, common, powder.id, None).await?,
+            &with_trained,
+        )?);
     }
-    let mean = |errors: &dyn Fn(&Row) -> f64| rows.iter().map(|r| errors(r).abs()).sum::<f64>() / rows.len() as f64;
+    let mean = |errors: &dyn Fn(&Row) -> f64| {
+        rows.iter().map(|r| errors(r).abs()).sum::<f64>() / rows.len() as f64
+    };
     Ok(Document {
         mean_abs_error_mg: mean(&|row| row.error_mg),
         training: Learned {
@@ -202,9 +217,11 @@ async fn dose(
     watch.say(&format!("weigh {TARGET_MG} mg of {powder}"));
     // The key is derived from everything the dose depends on: a second run finds the doses of the
     // first and pours nothing.
-    let key = format!("demo-{}-{}-{powder}-{TARGET_MG}-mg", common.seed, policy.unwrap_or("default"));
+    let key =
+        format!("demo-{}-{}-{powder}-{TARGET_MG}-mg", common.seed, policy.unwrap_or("default"));
     let request = request(powder, TARGET_MG, TOLERANCE_MG);
-    let request = WeighingRequest { policy: policy.map(str::to_owned), seed: Some(common.seed), ..request };
+    let request =
+        WeighingRequest { policy: policy.map(str::to_owned), seed: Some(common.seed), ..request };
     weigh(app, watch, request, &key).await
 }
 
@@ -218,11 +235,21 @@ async fn first_dose(app: &App, watch: &Watch, common: &Common) -> Result<Weighin
 
 /// The first dose, in one line.
 fn told(dose: &Weighing) -> String {
-    let found = dose.dispensed_mg.map_or("no mass is known".to_owned(), |mg| format!("{mg:.2} mg are in the vial"));
-    format!("first dose: {} of {} mg, {found}; next come five calibrations and a training", dose.powder, dose.target_mg)
+    let found = dose
+        .dispensed_mg
+        .map_or("no mass is known".to_owned(), |mg| format!("{mg:.2} mg are in the vial"));
+    format!(
+        "first dose: {} of {} mg, {found}; next come five calibrations and a training",
+        dose.powder, dose.target_mg
+    )
 }
 
-async fn learn(app: &App, watch: &Watch, common: &Common, arguments: &Arguments) -> Result<TrainingResult, Failure> {
+async fn learn(
+    app: &App,
+    watch: &Watch,
+    common: &Common,
+    arguments: &Arguments,
+) -> Result<TrainingResult, Failure> {
     let request = TrainingRequest {
         order: Order::Curriculum,
         preset: Preset::Flip,
@@ -231,17 +258,24 @@ async fn learn(app: &App, watch: &Watch, common: &Common, arguments: &Arguments)
         ..Default::default()
     };
     let training = train(app, watch, request).await?;
-    Ok(training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?)
+    Ok(training
+        .result
+        .ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?)
 }
 
-fn row(calibration: &Calibration, weighing: Weighing, with_trained: &Weighing) -> Result<Row, Failure> {
+fn row(
+    calibration: &Calibration,
+    weighing: Weighing,
+    with_trained: &Weighing,
+) -> Result<Row, Failure> {
     let sets = calibration.result.as_ref().map_or(&[] as &[_], |result| &result.sets);
     let known = |what: &str, value: Option<f64>, of: &Weighing| {
         let why = of.error.as_deref().unwrap_or("it did not end");
         value.ok_or_else(|| anyhow::anyhow!("weighing {} has no {what}: {why}", of.id))
     };
     // Error of the true mass, which the simulator knows.
-    let error_mg = |of: &Weighing| known("dispensed mass", of.dispensed_mg, of).map(|mg| mg - of.target_mg);
+    let error_mg =
+        |of: &Weighing| known("dispensed mass", of.dispensed_mg, of).map(|mg| mg - of.target_mg);
     Ok(Row {
         aor_measured_deg: calibration.target.repose_deg,
         aor_simulated_deg: sets.iter().map(|set| set.repose_deg).sum::<f64>() / sets.len() as f64,
@@ -283,7 +317,8 @@ fn text(document: &Document) -> String {
     ];
     let rows = table(&header, &document.rows.iter().map(row).collect::<Vec<_>>());
     let worst = document.rows.iter().max_by(|a, b| a.error_mg.abs().total_cmp(&b.error_mg.abs()));
-    let worst = worst.map_or(String::new(), |row| format!(", largest {:+.2} mg ({})", row.error_mg, row.powder));
+    let worst = worst
+        .map_or(String::new(), |row| format!(", largest {:+.2} mg ({})", row.error_mg, row.powder));
     let within = document.rows.iter().filter(|row| row.error_mg.abs() <= TOLERANCE_MG).count();
     format!(
         "\n{rows}\n\nmean |error| {:.2} mg{worst}; {within} of {} within {TOLERANCE_MG} mg\n\

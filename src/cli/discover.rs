@@ -8,8 +8,8 @@ use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE};
 use crate::app::{
-    App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead, InvestigationRequest, Report,
-    SimulatorVersion, names, predictions_csv, report_html,
+    App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead,
+    InvestigationRequest, Report, SimulatorVersion, names, predictions_csv, report_html,
 };
 use anyhow::Context;
 use flip_core::domain::FieldError;
@@ -129,7 +129,9 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             let (versions, current) = with_reader(common, async |app| {
                 Ok((app.simulators(FIRST_PAGE).await?.items, app.current_simulator().await?))
             })?;
-            common.print(&versions, || format!("{}\n\n{}", versions_text(&versions), current_text(&current)))
+            common.print(&versions, || {
+                format!("{}\n\n{}", versions_text(&versions), current_text(&current))
+            })
         }
         Some(Action::Use { simulator }) => {
             let chosen = ChosenSimulator { simulator: simulator.clone() };
@@ -153,7 +155,8 @@ fn versions_text(versions: &[SimulatorVersion]) -> String {
 fn current_text(current: &CurrentSimulator) -> String {
     let CurrentSimulator { simulator, chosen_at, before, .. } = current;
     let since = chosen_at.map_or_else(String::new, |at| format!(" since {at}"));
-    let before = before.as_ref().map_or_else(String::new, |before| format!(", before that {before}"));
+    let before =
+        before.as_ref().map_or_else(String::new, |before| format!(", before that {before}"));
     format!("current: {simulator}{since}{before}")
 }
 
@@ -161,7 +164,8 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
     let Some(out) = &arguments.out else {
         return Err(FieldError::new("out", "is required").into());
     };
-    let text_of = |name, path: &Option<PathBuf>| path.as_ref().map(|path| read(name, path)).transpose();
+    let text_of =
+        |name, path: &Option<PathBuf>| path.as_ref().map(|path| read(name, path)).transpose();
     let request = InvestigationRequest {
         measurements_csv: text_of("measurements", &arguments.measurements)?,
         traces_csv: text_of("traces", &arguments.traces)?,
@@ -181,10 +185,15 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
     common.print(&report, || text(&report, out))
 }
 
-async fn investigate(app: &App, request: InvestigationRequest, out: &Path) -> Result<Report, Failure> {
+async fn investigate(
+    app: &App,
+    request: InvestigationRequest,
+    out: &Path,
+) -> Result<Report, Failure> {
     let (job, _) = app.start_investigation(request).await?;
     // Before the work, which would be lost if the folder cannot be created.
-    let refused = |error| FieldError::new("out", format!("{} cannot be made: {error}", out.display()));
+    let refused =
+        |error| FieldError::new("out", format!("{} cannot be made: {error}", out.display()));
     fs::create_dir_all(out).map_err(refused)?;
     Watch::new().job(app, &job.id, "discover").await?;
     let report = app.investigation(&job.id).await?.report;
@@ -201,7 +210,9 @@ fn write_all(folder: &Path, files: &[(&str, String)]) -> Result<(), Failure> {
         file.sync_all()
     };
     let written = files.iter().try_for_each(write);
-    let whole = written.and_then(|()| files.iter().try_for_each(|(name, _)| fs::rename(part(name), folder.join(name))));
+    let whole = written.and_then(|()| {
+        files.iter().try_for_each(|(name, _)| fs::rename(part(name), folder.join(name)))
+    });
     Ok(whole.with_context(|| format!("cannot write into {}", folder.display()))?)
 }
 
@@ -217,7 +228,12 @@ fn text(report: &Report, out: &Path) -> String {
     };
     let causes = report.causes.iter().take(CAUSES_SHOWN).map(|cause| {
         let probability = format!("{:.2}", cause.inclusion_probability);
-        vec![names::cause(&cause.mechanism), cause.family.clone(), probability, list(&cause.powders)]
+        vec![
+            names::cause(&cause.mechanism),
+            cause.family.clone(),
+            probability,
+            list(&cause.powders),
+        ]
     });
     let findings = report.findings.iter().map(|finding| {
         let [lower, upper] = finding.ci95;
@@ -230,14 +246,18 @@ fn text(report: &Report, out: &Path) -> String {
             list(&finding.powders),
         ]
     });
-    let untestable = report.untestable.iter().map(|it| vec![names::cause(&it.mechanism), it.reason.clone()]);
+    let untestable =
+        report.untestable.iter().map(|it| vec![names::cause(&it.mechanism), it.reason.clone()]);
     let files = report.files.iter().flat_map(read_as);
     let left_out = report.left_out.iter().map(|it| vec![it.column.clone(), it.reason.clone()]);
     let parts = [
         report.sentence.clone(),
         decision,
         section(&["cause", "family", "probability, if any", "powders"], causes.collect()),
-        section(&["departs", "with", "effect", "95 % interval", "from - to", "powders"], findings.collect()),
+        section(
+            &["departs", "with", "effect", "95 % interval", "from - to", "powders"],
+            findings.collect(),
+        ),
         section(&["cannot be told", "because"], untestable.collect()),
         files.collect::<Vec<_>>().join("\n\n"),
         section(&["column left out", "because it"], left_out.collect()),
@@ -249,11 +269,21 @@ fn text(report: &Report, out: &Path) -> String {
 /// How a file was read: its columns, and what was left out.
 fn read_as(file: &FileRead) -> Vec<String> {
     let column = |it: &ColumnRead| {
-        vec![it.column.clone(), word(&it.taken_as), it.filled.to_string(), it.missing.to_string(), it.note.clone()]
+        vec![
+            it.column.clone(),
+            word(&it.taken_as),
+            it.filled.to_string(),
+            it.missing.to_string(),
+            it.note.clone(),
+        ]
     };
     let header = format!("column of {}", file.file);
-    let columns = section(&[&header, "taken as", "filled", "missing", ""], file.columns.iter().map(column).collect());
-    let left_out = file.left_out.iter().map(|it| format!("left out: rows {}: {}", rows(&it.rows), it.reason));
+    let columns = section(
+        &[&header, "taken as", "filled", "missing", ""],
+        file.columns.iter().map(column).collect(),
+    );
+    let left_out =
+        file.left_out.iter().map(|it| format!("left out: rows {}: {}", rows(&it.rows), it.reason));
     let powders = file.powders.iter().map(|it| format!("powder `{}` is {}", it.name, it.id));
     [columns].into_iter().chain(left_out).chain(file.notes.iter().cloned()).chain(powders).collect()
 }
@@ -276,5 +306,8 @@ fn list(powders: &[String]) -> String {
 
 /// Its name in the document.
 fn word(value: &impl Serialize) -> String {
-    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+    serde_json::to_value(value)
+        .ok()
+        .and_then(|value| value.as_str().map(str::to_owned))
+        .unwrap_or_default()
 }

@@ -71,7 +71,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     findings.extend(arguments.bench.as_deref().map(bench));
     common.print(&findings, || text(&findings))?;
     let failures = findings.iter().filter(|it| it.verdict == Verdict::Failed).count();
-    if failures > 0 { Err(Failure::Found(format!("{failures} of {} failed", findings.len()))) } else { Ok(()) }
+    if failures > 0 {
+        Err(Failure::Found(format!("{failures} of {} failed", findings.len())))
+    } else {
+        Ok(())
+    }
 }
 
 fn text(findings: &[Finding]) -> String {
@@ -80,7 +84,9 @@ fn text(findings: &[Finding]) -> String {
         Verdict::Warning => "warning",
         Verdict::Failed => "FAILED",
     };
-    let rows = findings.iter().map(|it| vec![it.what.to_owned(), word(it.verdict).to_owned(), it.found.clone()]);
+    let rows = findings
+        .iter()
+        .map(|it| vec![it.what.to_owned(), word(it.verdict).to_owned(), it.found.clone()]);
     table(&["what", "is", "found"], &rows.collect::<Vec<_>>())
 }
 
@@ -89,7 +95,10 @@ fn processor() -> Finding {
     let vectors = vectors();
     let found = format!("{cores} cores, {vectors}");
     if cores < 2 {
-        return warning("processor", format!("{found}: calibrations and trainings take hours on one core"));
+        return warning(
+            "processor",
+            format!("{found}: calibrations and trainings take hours on one core"),
+        );
     }
     ok("processor", found)
 }
@@ -114,9 +123,10 @@ fn memory() -> Finding {
     let kib = line.and_then(|rest| rest.split_whitespace().next()?.parse::<u64>().ok());
     match kib.map(|kib| kib << 10) {
         None => warning("memory", "how much is free is not known"),
-        Some(bytes) if bytes < MEMORY_MIN => {
-            warning("memory", format!("{} free, and a calibration may take {}", mib(bytes), mib(MEMORY_MIN)))
-        }
+        Some(bytes) if bytes < MEMORY_MIN => warning(
+            "memory",
+            format!("{} free, and a calibration may take {}", mib(bytes), mib(MEMORY_MIN)),
+        ),
         Some(bytes) => ok("memory", format!("{} free", mib(bytes))),
     }
 }
@@ -124,7 +134,10 @@ fn memory() -> Finding {
 fn clock() -> Finding {
     let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     if now < Duration::from_secs(CLOCK_MIN) {
-        return failed("clock", "before 2026, and every record carries its time: set it, or start a time service");
+        return failed(
+            "clock",
+            "before 2026, and every record carries its time: set it, or start a time service",
+        );
     }
     ok("clock", Timestamp::from_unix_ms(now.as_millis() as i64).to_string())
 }
@@ -138,7 +151,9 @@ fn descriptors() -> Finding {
                 "at most {most}, so fewer clients are served: LimitNOFILE=65536 in a unit, `ulimit -Hn` in a shell"
             ),
         ),
-        most => ok("descriptors", most.map_or("no limit".to_owned(), |most| format!("up to {most}"))),
+        most => {
+            ok("descriptors", most.map_or("no limit".to_owned(), |most| format!("up to {most}")))
+        }
     }
 }
 
@@ -179,12 +194,16 @@ fn writable(folder: &Path, on: &Path) -> Finding {
         );
     }
     if !on.is_dir() {
-        return failed("data folder", format!("{name}: {} is no folder; choose another with --data-dir", on.display()));
+        return failed(
+            "data folder",
+            format!("{name}: {} is no folder; choose another with --data-dir", on.display()),
+        );
     }
     match rustix::fs::access(on, rustix::fs::Access::WRITE_OK | rustix::fs::Access::EXEC_OK) {
-        Err(error) => {
-            failed("data folder", format!("{name}: {error}; choose another with --data-dir, or give it to this user"))
-        }
+        Err(error) => failed(
+            "data folder",
+            format!("{name}: {error}; choose another with --data-dir, or give it to this user"),
+        ),
         Ok(()) if on == folder => ok("data folder", format!("{name} can be written")),
         Ok(()) => ok("data folder", format!("{name} is not there yet and can be made")),
     }
@@ -204,7 +223,10 @@ async fn database(folder: &Path) -> Option<Finding> {
                 Ok(audit) if audit.broken.is_none() => {
                     ok("database", format!("{} records, as they were written", audit.records))
                 }
-                Ok(_) => failed("database", "the record is not as it was written: `flip audit verify` says where"),
+                Ok(_) => failed(
+                    "database",
+                    "the record is not as it was written: `flip audit verify` says where",
+                ),
                 Err(error) => failed("database", error.to_string()),
             }
         }
@@ -221,10 +243,13 @@ fn port(address: SocketAddr) -> Finding {
 
 fn bench(file: &Path) -> Finding {
     match super::benches::read("bench", file) {
-        Ok(_) => ok("bench file", format!("{}: `flip bench check` asks its devices", file.display())),
-        Err(Failure::BadInput(errors)) => {
-            failed("bench file", errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
+        Ok(_) => {
+            ok("bench file", format!("{}: `flip bench check` asks its devices", file.display()))
         }
+        Err(Failure::BadInput(errors)) => failed(
+            "bench file",
+            errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "),
+        ),
         Err(_) => failed("bench file", file.display().to_string()),
     }
 }
@@ -251,7 +276,9 @@ mod tests {
     #[test]
     fn a_folder_that_cannot_be_made_fails_and_a_fresh_one_does_not() {
         let folder = tempfile::tempdir().unwrap();
-        let verdicts = |path: &Path| data_folder(path).unwrap().iter().map(|it| it.verdict).collect::<Vec<_>>();
+        let verdicts = |path: &Path| {
+            data_folder(path).unwrap().iter().map(|it| it.verdict).collect::<Vec<_>>()
+        };
         assert!(!verdicts(&folder.path().join("new/deeper")).contains(&Verdict::Failed));
         let file = folder.path().join("file");
         std::fs::write(&file, "x").unwrap();
@@ -270,7 +297,10 @@ mod tests {
         std::fs::create_dir_all(&blobs).unwrap();
         std::fs::write(blobs.join("ab".repeat(32)), b"a trace").unwrap();
         let found = data_folder(folder.path()).unwrap();
-        assert!(found.iter().any(|it| it.what == "database" && it.verdict == Verdict::Failed), "{found:?}");
+        assert!(
+            found.iter().any(|it| it.what == "database" && it.verdict == Verdict::Failed),
+            "{found:?}"
+        );
     }
 
     #[test]

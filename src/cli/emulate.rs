@@ -139,7 +139,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
                 ..balance::Settings::default()
             };
             let socket = asked.listen.map_or(Socket::Pty, Socket::Tcp);
-            let mut device = Balance::start(settings.checked()?, Pan::holding(VIAL_MG, clock), socket)?;
+            let mut device =
+                Balance::start(settings.checked()?, Pan::holding(VIAL_MG, clock), socket)?;
             asked.fault.into_iter().for_each(|fault| device.inject(fault));
             until_stopped(common, "balance", device.address())
         }
@@ -179,22 +180,34 @@ fn photograph(common: &Common, asked: &CameraArguments) -> Result<(), Failure> {
     let uploads = match fault {
         Some(fault) => faulty_uploads(*fault, &scene, &Optics::default(), common.seed),
         None => {
-            let taken = frames(&scene, &Pose::default(), &Optics::default(), &Noise::default(), common.seed, count);
+            let taken = frames(
+                &scene,
+                &Pose::default(),
+                &Optics::default(),
+                &Noise::default(),
+                common.seed,
+                count,
+            );
             taken.iter().map(upload).collect()
         }
     };
     std::fs::create_dir_all(out)?;
-    for (k, Upload { depth, colour, description }) in uploads.map_err(anyhow::Error::from)?.into_iter().enumerate() {
+    for (k, Upload { depth, colour, description }) in
+        uploads.map_err(anyhow::Error::from)?.into_iter().enumerate()
+    {
         let description: serde_json::Value = serde_json::from_slice(&description)?;
         let [depth, colour] = [depth, colour].map(|bytes| STANDARD.encode(bytes));
-        let body = serde_json::json!({ "depth": depth, "colour": colour, "description": description });
+        let body =
+            serde_json::json!({ "depth": depth, "colour": colour, "description": description });
         std::fs::write(out.join(format!("frame-{:02}.json", k + 1)), body.to_string())?;
     }
     let document = Document { device: "camera", address: out.display().to_string() };
     common.print(&document, || format!("frames of a cone of {deg} deg in {}", out.display()))
 }
 
-fn fault<F: std::str::FromStr<Err = FieldError>>(asked: &DeviceArguments) -> Result<Option<F>, FieldError> {
+fn fault<F: std::str::FromStr<Err = FieldError>>(
+    asked: &DeviceArguments,
+) -> Result<Option<F>, FieldError> {
     asked.fault.as_deref().map(str::parse).transpose()
 }
 
@@ -202,7 +215,11 @@ fn fault<F: std::str::FromStr<Err = FieldError>>(asked: &DeviceArguments) -> Res
 fn spoon(common: &Common, formula: bool) -> Box<dyn Spoon> {
     match formula {
         true => Box::new(FormulaSpoon::new(Flow::default(), common.seed)),
-        false => Box::new(GrainsSpoon::new(&ParameterSet::default(), &dispense::Settings::default(), common.seed)),
+        false => Box::new(GrainsSpoon::new(
+            &ParameterSet::default(),
+            &dispense::Settings::default(),
+            common.seed,
+        )),
     }
 }
 

@@ -12,7 +12,8 @@ use super::table::table;
 use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{
-    App, Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow, EvaluationSummary,
+    App, Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow,
+    EvaluationSummary,
 };
 use flip_core::domain::conditions::Under;
 use flip_core::domain::powder::{PUBLISHED, PUBLISHED_DOSES_OVERALL_MG, published_mae_mg};
@@ -33,7 +34,13 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "ID,…", value_delimiter = ',', num_args = 1..)]
     powders: Option<Vec<String>>,
     /// Target masses, mg.
-    #[arg(long, value_name = "MG,…", value_delimiter = ',', default_value = "15,20", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "MG,…",
+        value_delimiter = ',',
+        default_value = "15,20",
+        allow_negative_numbers = true
+    )]
     targets_mg: Vec<f64>,
     /// Weighings per powder and target.
     #[arg(long, value_name = "N", default_value_t = 5, allow_negative_numbers = true)]
@@ -81,7 +88,8 @@ struct Document {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let evaluation = with_app(common, async |app| evaluate(app, common, arguments).await)?;
     let id = evaluation.job.id;
-    let result = evaluation.result.ok_or_else(|| anyhow::anyhow!("evaluation {id} has no result"))?;
+    let result =
+        evaluation.result.ok_or_else(|| anyhow::anyhow!("evaluation {id} has no result"))?;
     let EvaluationResult { rows, summary } = result;
     let document = Document {
         policy: evaluation.policy,
@@ -97,7 +105,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     common.print(&document, || text(&document))
 }
 
-async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<Evaluation, Failure> {
+async fn evaluate(
+    app: &App,
+    common: &Common,
+    arguments: &Arguments,
+) -> Result<Evaluation, Failure> {
     let watch = Watch::new();
     let request = EvaluationRequest {
         policy: arguments.policy.clone(),
@@ -122,7 +134,8 @@ async fn evaluate(app: &App, common: &Common, arguments: &Arguments) -> Result<E
             let published = || PUBLISHED.map(|powder| powder.id.to_owned()).into();
             let powders = request.powders.clone().unwrap_or_else(published);
             let targets: Vec<Target> = powders.into_iter().map(Target::Powder).collect();
-            calibrate(app, &watch, &targets, None, request.simulator.as_deref(), common.seed).await?;
+            calibrate(app, &watch, &targets, None, request.simulator.as_deref(), common.seed)
+                .await?;
             app.start_evaluation(request).await?
         }
         started => started?,
@@ -205,17 +218,26 @@ fn text(document: &Document) -> String {
 
 /// Settings of the evaluation: the balance, the steps, the spoon.
 fn setting(document: &Document) -> String {
-    let extensions: Vec<String> =
-        document.conditions.amplitudes().iter().map(|(name, amplitude)| format!("{name} {amplitude}")).collect();
+    let extensions: Vec<String> = document
+        .conditions
+        .amplitudes()
+        .iter()
+        .map(|(name, amplitude)| format!("{name} {amplitude}"))
+        .collect();
     let extensions = match extensions.is_empty() {
         true => "no extension".to_owned(),
         false => format!("extensions {}", extensions.join(", ")),
     };
-    let under = document.under.as_ref().map_or_else(String::new, |under| format!("{}; ", words(under)));
+    let under =
+        document.under.as_ref().map_or_else(String::new, |under| format!("{}; ", words(under)));
     format!(
         "Simulation: no powder was weighed. Policy {}; a balance that shows steps of {} mg; at most {} steps a dose; {} grains on \
          the spoon, {extensions}; {under}seed {}.",
-        document.policy, document.readability_mg, document.max_shakes, document.conditions.particles, document.seed
+        document.policy,
+        document.readability_mg,
+        document.max_shakes,
+        document.conditions.particles,
+        document.seed
     )
 }
 
@@ -276,17 +298,28 @@ mod tests {
     fn the_text_says_what_weighed_and_puts_the_published_robot_beside_it() {
         let text = text(&document(15.0));
         assert!(text.starts_with("Simulation: no powder was weighed."), "{text}");
-        for said in ["steps of 0.1 mg", "at most 30 steps", "1500 grains", "extensions rotation 1", "seed 7"] {
+        for said in [
+            "steps of 0.1 mg",
+            "at most 30 steps",
+            "1500 grains",
+            "extensions rotation 1",
+            "seed 7",
+        ] {
             assert!(text.lines().next().unwrap().contains(said), "{said} is missing in {text}");
         }
         let row = text.lines().find(|line| line.contains("sodium_bicarbonate")).unwrap();
         let cells: Vec<&str> = row.split_whitespace().collect();
-        assert_eq!(cells[..8], ["policy", "sodium_bicarbonate", "15", "5", "1.25", "3.6", "0.50", "-0.25"]);
+        assert_eq!(
+            cells[..8],
+            ["policy", "sodium_bicarbonate", "15", "5", "1.25", "3.6", "0.50", "-0.25"]
+        );
         // Bench time was not recorded when this row was stored.
         assert_eq!(cells.last(), Some(&"-"));
         let summary = text.lines().find(|line| line.contains("1.00 to 1.50")).unwrap();
         assert!(
-            summary.contains("-0.25") && summary.contains("20 %") && summary.trim_end().ends_with("42"),
+            summary.contains("-0.25")
+                && summary.contains("20 %")
+                && summary.trim_end().ends_with("42"),
             "{summary}"
         );
         assert!(text.contains("Published, real robot: 2.12 +- 1.53 mg"), "{text}");

@@ -32,15 +32,24 @@ impl Failure {
                 return ExitCode::from(1);
             }
             Self::BadInput(errors) => {
-                let errors: Vec<_> = errors.iter().map(|e| json!({ "field": e.field, "message": e.message })).collect();
+                let errors: Vec<_> = errors
+                    .iter()
+                    .map(|e| json!({ "field": e.field, "message": e.message }))
+                    .collect();
                 (2, json!({ "error": { "kind": "bad_input", "errors": errors } }))
             }
-            Self::NotNow(message) => (2, json!({ "error": { "kind": "not_now", "message": message } })),
-            Self::Failed(error) => (1, json!({ "error": { "kind": "failed", "message": format!("{error:#}") } })),
+            Self::NotNow(message) => {
+                (2, json!({ "error": { "kind": "not_now", "message": message } }))
+            }
+            Self::Failed(error) => {
+                (1, json!({ "error": { "kind": "failed", "message": format!("{error:#}") } }))
+            }
         };
         match self {
             Self::Found(_) => {}
-            Self::BadInput(errors) => errors.iter().for_each(|e| telemetry::say(format_args!("flip: {e}"))),
+            Self::BadInput(errors) => {
+                errors.iter().for_each(|e| telemetry::say(format_args!("flip: {e}")))
+            }
             Self::NotNow(message) => telemetry::say(format_args!("flip: {message}")),
             Self::Failed(error) => telemetry::say(format_args!("flip: {error:#}")),
         }
@@ -78,11 +87,15 @@ impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         match error {
             Error::Invalid(errors) => Self::BadInput(errors),
-            Error::NotFound { what, ref id } => FieldError::new(what, format!("there is no {what} `{id}`")).into(),
-            Error::Conflict { .. } | Error::Unprocessable { .. } => Self::NotNow(error.to_string()),
-            Error::Busy(_) | Error::Unavailable(_) | Error::TokenEnded | Error::Lost(_) | Error::Internal(_) => {
-                Self::Failed(error.into())
+            Error::NotFound { what, ref id } => {
+                FieldError::new(what, format!("there is no {what} `{id}`")).into()
             }
+            Error::Conflict { .. } | Error::Unprocessable { .. } => Self::NotNow(error.to_string()),
+            Error::Busy(_)
+            | Error::Unavailable(_)
+            | Error::TokenEnded
+            | Error::Lost(_)
+            | Error::Internal(_) => Self::Failed(error.into()),
         }
     }
 }

@@ -28,7 +28,8 @@ struct Document {
 
 /// Exit status 0 if the service answers `/healthz` with 200, else 1.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let status = ask(arguments.listen).with_context(|| format!("no service answers at {}", arguments.listen))?;
+    let status = ask(arguments.listen)
+        .with_context(|| format!("no service answers at {}", arguments.listen))?;
     match status.split(' ').nth(1) {
         Some("200") => common.print(&Document { alive: true }, || "alive".into()),
         _ => Err(anyhow!("{} answers `{}`", arguments.listen, status.trim()).into()),

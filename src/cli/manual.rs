@@ -43,6 +43,9 @@ pub(super) fn completions(arguments: &Completions) -> Result<(), Failure> {
 pub(super) fn man(common: &Common, arguments: &Man) -> Result<(), Failure> {
     std::fs::create_dir_all(&arguments.folder)?;
     clap_mangen::generate_to(Cli::command(), &arguments.folder)?;
-    let pages = Pages { folder: arguments.folder.clone(), pages: std::fs::read_dir(&arguments.folder)?.count() };
+    let pages = Pages {
+        folder: arguments.folder.clone(),
+        pages: std::fs::read_dir(&arguments.folder)?.count(),
+    };
     common.print(&pages, || format!("{} pages in {}", pages.pages, pages.folder.display()))
 }

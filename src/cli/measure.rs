@@ -58,8 +58,15 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         base_height_mm: arguments.base_height_mm,
         ..Rig::default()
     };
-    let procedure = Procedure { repeats: *repeats, frames: *frames, open_s: *open_s, rest_s: *rest_s };
-    let request = ReposeRequest { powder: powder.clone(), run: *run, procedure, rig, ..ReposeRequest::default() };
+    let procedure =
+        Procedure { repeats: *repeats, frames: *frames, open_s: *open_s, rest_s: *rest_s };
+    let request = ReposeRequest {
+        powder: powder.clone(),
+        run: *run,
+        procedure,
+        rig,
+        ..ReposeRequest::default()
+    };
     let measured = with_bench(common, &arguments.bench, async |app| {
         let (Job { id, .. }, _) = app.start_repose(request).await?;
         Watch::new().job(app, &id, powder).await?;
@@ -71,7 +78,10 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 fn text(measured: &ReposeMeasurement) -> String {
     let row = |pile: &Pile| {
         let angle = |of: fn(&flip_core::domain::pile::Measurement) -> [f64; 2]| {
-            pile.measured.as_ref().map(of).map_or_else(|| "-".to_owned(), |[deg, u]| format!("{deg:.2} ({u:.2})"))
+            pile.measured
+                .as_ref()
+                .map(of)
+                .map_or_else(|| "-".to_owned(), |[deg, u]| format!("{deg:.2} ({u:.2})"))
         };
         let tip = angle(|m| [m.tip.deg, m.tip.u_deg]);
         let cone = angle(|m| [m.cone.deg, m.cone.u_deg]);
@@ -79,7 +89,8 @@ fn text(measured: &ReposeMeasurement) -> String {
         vec![pile.number.to_string(), tip, cone, pile.frames.len().to_string(), refusal]
     };
     let rows: Vec<Vec<String>> = measured.piles.iter().map(row).collect();
-    let table = table(&["pile", "tip deg (u)", "cone deg (u)", "frames", "no angle because"], &rows);
+    let table =
+        table(&["pile", "tip deg (u)", "cone deg (u)", "frames", "no angle because"], &rows);
     let Some(result) = &measured.result else { return table };
     let repeats = &result.repeats;
     let registered = match result.registered {

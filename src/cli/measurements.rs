@@ -50,11 +50,14 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     match &arguments.action {
         Action::Import { file, create } => {
             let csv = read("file", file)?;
-            let imported = with_writer(common, async |app| Ok(app.import_measurements(&csv, *create).await?))?;
+            let imported = with_writer(common, async |app| {
+                Ok(app.import_measurements(&csv, *create).await?)
+            })?;
             common.print(&imported, || text(&imported))
         }
         Action::Export { powder } => {
-            let measured = with_reader(common, async |app| Ok(app.measured(powder.as_deref()).await?))?;
+            let measured =
+                with_reader(common, async |app| Ok(app.measured(powder.as_deref()).await?))?;
             common.print(&measured, || measured.csv())
         }
         Action::Compare => {
@@ -66,33 +69,51 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 
 /// The text of the file given in `field`.
 pub(super) fn read(field: &str, file: &Path) -> Result<String, Failure> {
-    let unreadable = |error| FieldError::new(field, format!("{} cannot be read: {error}", file.display()));
+    let unreadable =
+        |error| FieldError::new(field, format!("{} cannot be read: {error}", file.display()));
     Ok(table_text(&std::fs::read(file).map_err(unreadable)?)?)
 }
 
 fn comparison(compared: &[Compared]) -> String {
     let row = |it: &Compared| {
-        let error = it.standard_error_deg.map_or_else(|| "-".to_owned(), |error| format!("{error:.2}"));
+        let error =
+            it.standard_error_deg.map_or_else(|| "-".to_owned(), |error| format!("{error:.2}"));
         let angle = |of: crate::app::Flowability| {
             let sd = if of.n > 1 { format!("{:.2}", of.sd_deg) } else { "-".to_owned() };
             [format!("{:.2}", of.repose_deg), sd, of.n.to_string()]
         };
         let angles = [it.automated, it.manual].map(angle).concat();
-        [vec![it.powder.clone()], angles, vec![format!("{:+.2}", it.difference_deg), error]].concat()
+        [vec![it.powder.clone()], angles, vec![format!("{:+.2}", it.difference_deg), error]]
+            .concat()
     };
-    let header = ["powder", "camera deg", "SD", "n", "by hand deg", "SD", "n", "difference deg", "its standard error"];
+    let header = [
+        "powder",
+        "camera deg",
+        "SD",
+        "n",
+        "by hand deg",
+        "SD",
+        "n",
+        "difference deg",
+        "its standard error",
+    ];
     table(&header, &compared.iter().map(row).collect::<Vec<_>>())
 }
 
 fn text(imported: &Imported) -> String {
     let Imported { powders, named, measurements, observations, already_stored } = imported;
-    let mut text = format!("{} measurements and {} observations added", measurements.len(), observations.len());
+    let mut text = format!(
+        "{} measurements and {} observations added",
+        measurements.len(),
+        observations.len()
+    );
     if !powders.is_empty() {
         text += &format!("; powders registered: {}", powders.join(", "));
     }
     if *already_stored > 0 {
-        text +=
-            &format!("; {already_stored} left out, which were stored already with the same powder, values and source");
+        text += &format!(
+            "; {already_stored} left out, which were stored already with the same powder, values and source"
+        );
     }
     for NamedPowder { name, id } in named {
         text += &format!("\npowder `{name}` is {id}");

@@ -51,7 +51,12 @@ use std::process::ExitCode;
 /// Flowability-informed powder weighing: measure how a powder piles, calibrate a simulator, learn
 /// to weigh, weigh.
 #[derive(Debug, Parser)]
-#[command(name = "flip", bin_name = "flip", version, after_help = "Exit status: 0 done, 2 bad input, 1 failure.")]
+#[command(
+    name = "flip",
+    bin_name = "flip",
+    version,
+    after_help = "Exit status: 0 done, 2 bad input, 1 failure."
+)]
 struct Cli {
     #[command(flatten)]
     common: Common,
@@ -199,7 +204,11 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 
 impl Common {
     /// Prints a result on stdout: as JSON if requested, else as `text`.
-    fn print(&self, document: &impl Serialize, text: impl FnOnce() -> String) -> Result<(), Failure> {
+    fn print(
+        &self,
+        document: &impl Serialize,
+        text: impl FnOnce() -> String,
+    ) -> Result<(), Failure> {
         use std::io::Write;
         let text = if self.json { serde_json::to_string_pretty(document)? } else { text() };
         // A reader that has seen enough (`flip … | head`) closes the pipe: that is an error, not a

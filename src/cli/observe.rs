@@ -57,14 +57,21 @@ struct Observed {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let set = arguments.parameters.set()?;
     if !(1..=REPEATS_MAX).contains(&arguments.repeats) {
-        let message = format!("must be from 1 to {REPEATS_MAX} simulations, got {}", arguments.repeats);
+        let message =
+            format!("must be from 1 to {REPEATS_MAX} simulations, got {}", arguments.repeats);
         return Err(FieldError::new("repeats", message).into());
     }
     let experiments: Vec<Observable> =
         arguments.experiments.iter().map(|text| observable(text)).collect::<Result<_, _>>()?;
-    let observed = experiments.iter().map(|observable| simulate(observable, &set, common.seed, arguments.repeats));
-    let document =
-        Document { parameters: set, seed: common.seed, simulator: sim::VERSION, observed: observed.collect() };
+    let observed = experiments
+        .iter()
+        .map(|observable| simulate(observable, &set, common.seed, arguments.repeats));
+    let document = Document {
+        parameters: set,
+        seed: common.seed,
+        simulator: sim::VERSION,
+        observed: observed.collect(),
+    };
     common.print(&document, || text(&document))
 }
 
@@ -90,12 +97,16 @@ fn simulate(observable: &Observable, set: &ParameterSet, seed: u64, repeats: u32
 }
 
 fn text(document: &Document) -> String {
-    let number = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"));
+    let number =
+        |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"));
     let rows = document.observed.iter().map(|observed| {
         let settings = serde_json::to_value(observed.observable).ok();
         let settings = settings.and_then(|value| value.as_object().cloned()).unwrap_or_default();
-        let settings: Vec<String> =
-            settings.iter().filter(|(key, _)| *key != "kind").map(|(key, value)| format!("{key} {value}")).collect();
+        let settings: Vec<String> = settings
+            .iter()
+            .filter(|(key, _)| *key != "kind")
+            .map(|(key, value)| format!("{key} {value}"))
+            .collect();
         vec![
             observed.observable.kind().to_owned(),
             settings.join(", "),
@@ -123,12 +134,14 @@ pub(super) fn observable(text: &str) -> Result<Observable, FieldError> {
 pub(super) fn observation(text: &str) -> Result<Observation, FieldError> {
     let mut settings = settings(text)?;
     let mut take = |key: &str| {
-        let advice = format!("`{text}` lacks `{key}`: write KIND:SETTING=VALUE,...,mean=M,sd=S,n=N");
+        let advice =
+            format!("`{text}` lacks `{key}`: write KIND:SETTING=VALUE,...,mean=M,sd=S,n=N");
         settings.remove(key).ok_or_else(|| FieldError::new("observation", advice))
     };
     let (mean, sd, n) = (take("mean")?, take("sd")?, take("n")?);
     let n = n.as_f64().map_or(Value::Null, |n| json!(n as u64));
-    typed::<Observation>(text, json!({ "observable": settings, "mean": mean, "sd": sd, "n": n }))?.checked()
+    typed::<Observation>(text, json!({ "observable": settings, "mean": mean, "sd": sd, "n": n }))?
+        .checked()
 }
 
 fn settings(text: &str) -> Result<Map<String, Value>, FieldError> {
@@ -136,8 +149,9 @@ fn settings(text: &str) -> Result<Map<String, Value>, FieldError> {
     let mut found = Map::new();
     found.insert("kind".to_owned(), json!(kind.trim()));
     for setting in settings.split(',').filter(|setting| !setting.trim().is_empty()) {
-        let number =
-            setting.split_once('=').and_then(|(key, value)| Some((key.trim(), value.trim().parse::<f64>().ok()?)));
+        let number = setting
+            .split_once('=')
+            .and_then(|(key, value)| Some((key.trim(), value.trim().parse::<f64>().ok()?)));
         let Some((key, value)) = number else {
             let advice = format!("`{setting}` must be SETTING=NUMBER, as in `pitch_deg=30`");
             return Err(FieldError::new("observation", advice));
@@ -148,7 +162,8 @@ fn settings(text: &str) -> Result<Map<String, Value>, FieldError> {
 }
 
 fn typed<T: DeserializeOwned>(text: &str, value: Value) -> Result<T, FieldError> {
-    serde_json::from_value(value).map_err(|error| FieldError::new("observation", format!("`{text}`: {error}")))
+    serde_json::from_value(value)
+        .map_err(|error| FieldError::new("observation", format!("`{text}`: {error}")))
 }
 
 #[cfg(test)]
@@ -160,7 +175,8 @@ mod tests {
         let shake = Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 4.0 };
         assert_eq!(observable("shake_mass:pitch_deg=30,shake_mm=4"), Ok(shake));
         assert_eq!(observable("drained_angle"), Ok(Observable::DrainedAngle {}));
-        let measured = observation("shake_mass:pitch_deg=30,shake_mm=4,mean=1.2,sd=0.4,n=20").unwrap();
+        let measured =
+            observation("shake_mass:pitch_deg=30,shake_mm=4,mean=1.2,sd=0.4,n=20").unwrap();
         assert_eq!((measured.observable, measured.mean, measured.n), (shake, 1.2, 20));
         for (text, says) in [
             ("shake_mass:pitch_deg=30", "shake_mm"),
@@ -172,6 +188,11 @@ mod tests {
             let error = observable(text).unwrap_err().to_string();
             assert!(error.contains(says), "{text}: {error}");
         }
-        assert!(observation("drained_angle:mean=30,sd=1").unwrap_err().to_string().contains("lacks `n`"));
+        assert!(
+            observation("drained_angle:mean=30,sd=1")
+                .unwrap_err()
+                .to_string()
+                .contains("lacks `n`")
+        );
     }
 }

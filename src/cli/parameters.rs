@@ -45,7 +45,8 @@ impl Args for Flags {
 fn flag(parameter: &Parameter) -> Arg {
     // clap keeps names for the lifetime of the program; nine short strings are leaked once.
     let long: &'static str = Box::leak(parameter.key.replace('_', "-").into_boxed_str());
-    let unit = if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
+    let unit =
+        if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) };
     let Parameter { lower, upper, default, meaning, .. } = parameter;
     Arg::new(parameter.key)
         .long(long)
@@ -58,16 +59,22 @@ fn flag(parameter: &Parameter) -> Arg {
 /// The mechanisms given in flags.
 pub(super) fn extensions(flags: &[String]) -> Result<Extensions, FieldError> {
     let amplitudes = amplitudes(flags)?;
-    amplitudes.iter().try_fold(Extensions::default(), |extensions, (name, amplitude)| extensions.with(name, *amplitude))
+    amplitudes.iter().try_fold(Extensions::default(), |extensions, (name, amplitude)| {
+        extensions.with(name, *amplitude)
+    })
 }
 
 /// Names of mechanisms and their amplitudes as given in flags, not yet checked; for a repeated name
 /// the last one counts.
 pub(super) fn amplitudes(flags: &[String]) -> Result<BTreeMap<String, f64>, FieldError> {
     let amplitude = |flag: &String| {
-        let parts = flag.split_once('=').and_then(|(name, amplitude)| Some((name, amplitude.parse().ok()?)));
+        let parts = flag
+            .split_once('=')
+            .and_then(|(name, amplitude)| Some((name, amplitude.parse().ok()?)));
         parts.map(|(name, amplitude)| (name.to_owned(), amplitude)).ok_or_else(|| {
-            let message = format!("must be a name, an equals sign and a number, as in `rotation=1`, got `{flag}`");
+            let message = format!(
+                "must be a name, an equals sign and a number, as in `rotation=1`, got `{flag}`"
+            );
             FieldError::new("extension", message)
         })
     };

@@ -57,13 +57,28 @@ struct Infer {
     #[arg(long, value_name = "FILE", conflicts_with = "policy")]
     file: Option<PathBuf>,
     /// Balance reading, mg.
-    #[arg(long, value_name = "MG", required_unless_present = "stdin", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "MG",
+        required_unless_present = "stdin",
+        allow_negative_numbers = true
+    )]
     reading_mg: Option<f64>,
     /// Target mass, mg.
-    #[arg(long, value_name = "MG", required_unless_present = "stdin", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "MG",
+        required_unless_present = "stdin",
+        allow_negative_numbers = true
+    )]
     target_mg: Option<f64>,
     /// Pitch of the spoon, degrees; positive is tip down.
-    #[arg(long, value_name = "DEG", required_unless_present = "stdin", allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "DEG",
+        required_unless_present = "stdin",
+        allow_negative_numbers = true
+    )]
     pitch_deg: Option<f64>,
     /// Readability (display step) of the balance, mg.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
@@ -95,8 +110,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         PolicyCommand::Export { policy, out } => {
             let bytes = bytes_of(common, policy)?;
             std::fs::write(out, &bytes).map_err(|error| file_error("out", out, &error))?;
-            let document = serde_json::json!({ "policy": policy, "out": out, "size_bytes": bytes.len() });
-            common.print(&document, || format!("{policy} written to {}, {} bytes", out.display(), bytes.len()))
+            let document =
+                serde_json::json!({ "policy": policy, "out": out, "size_bytes": bytes.len() });
+            common.print(&document, || {
+                format!("{policy} written to {}, {} bytes", out.display(), bytes.len())
+            })
         }
         PolicyCommand::Infer(infer) => infer.run(common),
     }
@@ -106,22 +124,26 @@ impl Infer {
     fn run(&self, common: &Common) -> Result<(), Failure> {
         let driver = match (&self.file, &self.policy) {
             (Some(file), _) => {
-                let bytes = std::fs::read(file).map_err(|error| file_error("file", file, &error))?;
+                let bytes =
+                    std::fs::read(file).map_err(|error| file_error("file", file, &error))?;
                 Driver::read("file", &bytes)?
             }
-            (None, id) => Driver::read("policy", &bytes_of(common, id.as_deref().unwrap_or_default())?)?,
+            (None, id) => {
+                Driver::read("policy", &bytes_of(common, id.as_deref().unwrap_or_default())?)?
+            }
         };
         let mut driving = driver.begin(self.readability_mg)?;
         if let Some(file) = &self.history {
             let text = std::fs::read(file).map_err(|error| file_error("history", file, &error))?;
-            let steps: Vec<Done> =
-                serde_json::from_slice(&text).map_err(|error| FieldError::new("history", error.to_string()))?;
+            let steps: Vec<Done> = serde_json::from_slice(&text)
+                .map_err(|error| FieldError::new("history", error.to_string()))?;
             driving.resume(&steps)?;
         }
         if self.stdin {
             return answer_lines(&mut driving);
         }
-        let [Some(reading_mg), Some(target_mg), Some(pitch_deg)] = [self.reading_mg, self.target_mg, self.pitch_deg]
+        let [Some(reading_mg), Some(target_mg), Some(pitch_deg)] =
+            [self.reading_mg, self.target_mg, self.pitch_deg]
         else {
             let message = "give it with --target-mg and --pitch-deg, or --stdin";
             return Err(FieldError::new("reading_mg", message).into());
@@ -159,7 +181,11 @@ fn file_error(field: &str, file: &Path, error: &std::io::Error) -> Failure {
 
 fn sentence(proposal: &Proposal) -> String {
     let action = proposal.action;
-    format!("incline by {:+.2} deg, shake {:.2} mm", action.incline_change_deg, action.executed_shake_mm())
+    format!(
+        "incline by {:+.2} deg, shake {:.2} mm",
+        action.incline_change_deg,
+        action.executed_shake_mm()
+    )
 }
 
 fn text(policies: &[Policy]) -> String {

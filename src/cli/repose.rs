@@ -102,12 +102,21 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         return Err(FieldError::new("repeats", message).into());
     }
     if !PARTICLES.contains(&arguments.particles) {
-        let message =
-            format!("must be from {} to {} grains, got {}", PARTICLES.start(), PARTICLES.end(), arguments.particles);
+        let message = format!(
+            "must be from {} to {} grains, got {}",
+            PARTICLES.start(),
+            PARTICLES.end(),
+            arguments.particles
+        );
         return Err(FieldError::new("particles", message).into());
     }
     if !READINGS.contains(&arguments.readings) {
-        let message = format!("must be from {} to {}, got {}", READINGS.start(), READINGS.end(), arguments.readings);
+        let message = format!(
+            "must be from {} to {}, got {}",
+            READINGS.start(),
+            READINGS.end(),
+            arguments.readings
+        );
         return Err(FieldError::new("readings", message).into());
     }
     let compat = match arguments.compat {
@@ -116,7 +125,13 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     };
     let settings = Settings {
         base_friction: bounded("base_friction", arguments.base_friction, 0.0, 2.0, "")?,
-        funnel_clearance_diameters: bounded("funnel_clearance", arguments.funnel_clearance, 1.0, 20.0, "d")?,
+        funnel_clearance_diameters: bounded(
+            "funnel_clearance",
+            arguments.funnel_clearance,
+            1.0,
+            20.0,
+            "d",
+        )?,
         readings: arguments.readings,
         rough_base: arguments.rough_base,
         extensions: parameters::extensions(&arguments.extension)?,
@@ -124,7 +139,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         ..Settings::with_particles(arguments.particles)
     };
     if compat == Compat::Physx && (settings.rough_base || !settings.extensions.is_none()) {
-        let message = "the published engine has no extensions and no rough base; leave out --compat or them";
+        let message =
+            "the published engine has no extensions and no rough base; leave out --compat or them";
         return Err(FieldError::new("compat", message).into());
     }
     if arguments.view.is_some() || arguments.snapshots.is_some() {
@@ -136,7 +152,12 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 }
 
 /// Pours the first heap and writes the requested files.
-fn picture(set: &ParameterSet, settings: &Settings, seed: u64, arguments: &Arguments) -> Result<(), Failure> {
+fn picture(
+    set: &ParameterSet,
+    settings: &Settings,
+    seed: u64,
+    arguments: &Arguments,
+) -> Result<(), Failure> {
     let frames = Arc::new(Mutex::new(Vec::new()));
     let kept = Arc::clone(&frames);
     let camera = arguments.snapshots.is_some().then(|| Camera {
@@ -147,7 +168,8 @@ fn picture(set: &ParameterSet, settings: &Settings, seed: u64, arguments: &Argum
             }
         }),
     });
-    let pile = sim::repose::pile(set, settings, derive(seed, &[0]), camera).map_err(|r| anyhow::anyhow!("{r}"))?;
+    let pile = sim::repose::pile(set, settings, derive(seed, &[0]), camera)
+        .map_err(|r| anyhow::anyhow!("{r}"))?;
     if let Some(file) = &arguments.view {
         std::fs::write(file, view::svg(&pile, settings, set.particle_diameter_mm()))?;
     }
@@ -159,7 +181,12 @@ fn picture(set: &ParameterSet, settings: &Settings, seed: u64, arguments: &Argum
 
 /// Pours one heap per repeat; `collect` keeps their order, so the number of threads does not affect
 /// the result.
-fn pour(set: &ParameterSet, settings: &Settings, seed: u64, repeats: u32) -> Vec<Result<Repose, Refusal>> {
+fn pour(
+    set: &ParameterSet,
+    settings: &Settings,
+    seed: u64,
+    repeats: u32,
+) -> Vec<Result<Repose, Refusal>> {
     (0..repeats)
         .into_par_iter()
         .map(|repeat| sim::repose::repose(set, settings, derive(seed, &[u64::from(repeat)])))
@@ -181,7 +208,10 @@ fn summarise(
         }
     }
     if heaps.is_empty() {
-        return Err(Failure::Failed(anyhow::anyhow!("no heap has an angle of repose: {}", refusals.join("; "))));
+        return Err(Failure::Failed(anyhow::anyhow!(
+            "no heap has an angle of repose: {}",
+            refusals.join("; ")
+        )));
     }
     let mean = |of: fn(&Repose) -> f64| heaps.iter().map(of).sum::<f64>() / heaps.len() as f64;
     let repose_deg = mean(|heap| heap.tip_deg);

@@ -72,7 +72,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
                 return Err(failure);
             }
         };
-        let document = Document { url: arguments.address.url(&server)?, token: token::first(&app).await? };
+        let document =
+            Document { url: arguments.address.url(&server)?, token: token::first(&app).await? };
         if common.print(&document, || text(&document)).is_err() {
             // The bench may be in use already.
             tracing::warn!(
@@ -89,7 +90,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 pub(super) fn bind(app: &App, address: &Address) -> Result<Server, Failure> {
     // A settings file may give only one of the two, which clap does not check.
     if address.tls_cert.is_some() != address.tls_key.is_some() {
-        let message = "certificate and key go together: name both files, or neither to speak without TLS";
+        let message =
+            "certificate and key go together: name both files, or neither to speak without TLS";
         return Err(FieldError::new("tls_cert", message).into());
     }
     let tls = address.tls_cert.clone().zip(address.tls_key.clone());
@@ -111,7 +113,9 @@ impl Address {
 
 /// The message of a first start about its token.
 pub(super) fn announce(token: &str) -> String {
-    format!("admin token (shown once; `flip token create` makes others, `flip token revoke` ends one): {token}")
+    format!(
+        "admin token (shown once; `flip token create` makes others, `flip token revoke` ends one): {token}"
+    )
 }
 
 /// Completes when the process is asked to stop.
@@ -121,7 +125,8 @@ async fn stopped(mut signals: StopSignals) {
 }
 
 fn text(document: &Document) -> String {
-    let token = document.token.as_deref().map_or(String::new(), |token| format!("\n{}", announce(token)));
+    let token =
+        document.token.as_deref().map_or(String::new(), |token| format!("\n{}", announce(token)));
     format!("FLIP serves {}{token}", document.url)
 }
 

@@ -11,7 +11,10 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 ///
 /// SIGTERM and Ctrl-C end the work early: running jobs save a checkpoint, the spoon is levelled,
 /// and running the same command again continues from there.
-pub(super) fn with_app<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<T, Failure>) -> Result<T, Failure> {
+pub(super) fn with_app<T>(
+    common: &Common,
+    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+) -> Result<T, Failure> {
     with_options(common, Options::default(), work)
 }
 
@@ -62,7 +65,10 @@ fn with_options<T>(
 
 /// As [`with_writer`], but also while another process holds the folder: for changes that affect no
 /// bench and no job.
-pub(super) fn beside<T>(common: &Common, work: impl AsyncFnOnce(&App) -> Result<T, Failure>) -> Result<T, Failure> {
+pub(super) fn beside<T>(
+    common: &Common,
+    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+) -> Result<T, Failure> {
     runtime()?.block_on(async {
         let app = App::open_beside(&common.data_dir).await?;
         let result = acting(Who::command_line(), work(&app)).await;
@@ -94,7 +100,10 @@ pub(super) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 /// A runtime for the service. The bench and the front of the service start on the calling thread
 /// and keep its priority.
 pub(super) fn service_runtime() -> Result<tokio::runtime::Runtime, Failure> {
-    Ok(tokio::runtime::Builder::new_multi_thread().on_thread_start(give_way_to_the_bench).enable_all().build()?)
+    Ok(tokio::runtime::Builder::new_multi_thread()
+        .on_thread_start(give_way_to_the_bench)
+        .enable_all()
+        .build()?)
 }
 
 /// SIGTERM and Ctrl-C, caught from the moment this is created: create it before reporting that
@@ -107,7 +116,10 @@ pub(super) struct StopSignals {
 impl StopSignals {
     /// Starts catching them.
     pub(super) fn catch() -> std::io::Result<Self> {
-        Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
+        Ok(Self {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+        })
     }
 
     /// Waits for a signal; returns which one it was.
@@ -121,5 +133,7 @@ impl StopSignals {
 
 /// The failure of a command that was interrupted.
 pub(super) fn interrupted(signal: &str) -> Failure {
-    Failure::Failed(anyhow::anyhow!("stopped by {signal}; run the same command again to go on from where it was"))
+    Failure::Failed(anyhow::anyhow!(
+        "stopped by {signal}; run the same command again to go on from where it was"
+    ))
 }

@@ -71,7 +71,12 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             let expires_in_s = expires_in.as_deref().map(seconds).transpose()?;
             create(
                 common,
-                &NewToken { name: name.clone(), role: Role::from(*role), may_clear: *may_clear, expires_in_s },
+                &NewToken {
+                    name: name.clone(),
+                    role: Role::from(*role),
+                    may_clear: *may_clear,
+                    expires_in_s,
+                },
             )
         }
         Action::List => list(common),
@@ -105,22 +110,36 @@ fn list(common: &Common) -> Result<(), Failure> {
 }
 
 fn text(items: &[TokenEntry]) -> String {
-    let word = |time: Option<crate::app::Timestamp>, none: &str| time.map_or(none.to_owned(), |time| time.to_string());
+    let word = |time: Option<crate::app::Timestamp>, none: &str| {
+        time.map_or(none.to_owned(), |time| time.to_string())
+    };
     let rows = items.iter().map(|it| {
         let ends = match it.revoked_at {
             Some(at) => format!("revoked {at}"),
             None => word(it.expires_at, "never"),
         };
-        let role = format!("{:?}{}", it.role, if it.may_clear { ", may clear" } else { "" }).to_lowercase();
-        vec![it.id.clone(), it.name.clone(), role, it.created_at.to_string(), word(it.last_used_at, "never"), ends]
+        let role = format!("{:?}{}", it.role, if it.may_clear { ", may clear" } else { "" })
+            .to_lowercase();
+        vec![
+            it.id.clone(),
+            it.name.clone(),
+            role,
+            it.created_at.to_string(),
+            word(it.last_used_at, "never"),
+            ends,
+        ]
     });
     table(&["id", "name", "role", "made", "last used", "ends"], &rows.collect::<Vec<_>>())
 }
 
 /// Seconds in `90s`, `15m`, `12h` or `30d`.
 fn seconds(text: &str) -> Result<u64, FieldError> {
-    let wrong =
-        || FieldError::new("expires-in", format!("must be a whole number and s, m, h or d, as in 12h, got `{text}`"));
+    let wrong = || {
+        FieldError::new(
+            "expires-in",
+            format!("must be a whole number and s, m, h or d, as in 12h, got `{text}`"),
+        )
+    };
     let unit = match text.chars().last() {
         Some('s') => 1,
         Some('m') => 60,

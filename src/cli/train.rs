@@ -123,7 +123,9 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         spoon,
     };
     let document = |training: Training, seed: u64| {
-        let result = training.result.ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;
+        let result = training
+            .result
+            .ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;
         let timing = Timing { wall_s: began.elapsed().as_secs_f64() };
         let TrainingResult { policy, episodes, final_error_mg, levels } = result;
         Ok::<_, Failure>(Document {
@@ -158,7 +160,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 
 /// Trains as a job (or finds the existing job), first calibrating anything not yet calibrated, and
 /// waits for it.
-pub(super) async fn train(app: &App, watch: &Watch, request: TrainingRequest) -> Result<Training, Failure> {
+pub(super) async fn train(
+    app: &App,
+    watch: &Watch,
+    request: TrainingRequest,
+) -> Result<Training, Failure> {
     let job = begin(app, watch, request).await?;
     watch.job(app, &job.id, "train").await?;
     Ok(app.training(&job.id).await?)
@@ -199,18 +205,29 @@ fn levels(request: &TrainingRequest) -> Vec<Target> {
 pub(super) async fn require_policy(app: &App, id: Option<&str>) -> Result<(), Failure> {
     let Some(id) = id else { return Ok(()) };
     app.policy(id).await.map(drop).map_err(|error| match error {
-        Error::NotFound { .. } => FieldError::new("policy", format!("there is no policy `{id}`")).into(),
+        Error::NotFound { .. } => {
+            FieldError::new("policy", format!("there is no policy `{id}`")).into()
+        }
         error => Failure::from(error),
     })
 }
 
 fn text(document: &Document) -> String {
-    let plain = |value: &serde_json::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    let keys: Vec<&str> = document.levels.first().and_then(|level| level.as_object()).map_or(Vec::new(), |level| {
-        level.iter().filter(|(_, value)| !value.is_array() && !value.is_object()).map(|(key, _)| &**key).collect()
-    });
-    let rows: Vec<Vec<String>> =
-        document.levels.iter().map(|level| keys.iter().map(|key| plain(&level[*key])).collect()).collect();
+    let plain =
+        |value: &serde_json::Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let keys: Vec<&str> =
+        document.levels.first().and_then(|level| level.as_object()).map_or(Vec::new(), |level| {
+            level
+                .iter()
+                .filter(|(_, value)| !value.is_array() && !value.is_object())
+                .map(|(key, _)| &**key)
+                .collect()
+        });
+    let rows: Vec<Vec<String>> = document
+        .levels
+        .iter()
+        .map(|level| keys.iter().map(|key| plain(&level[*key])).collect())
+        .collect();
     format!(
         "{}order        {}\npolicy       {}\nepisodes     {}\nfinal error  {:.2} mg (mean of the last 20)\n\n{}",
         document.under.as_ref().map_or_else(String::new, |under| words(under) + "\n"),

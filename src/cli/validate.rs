@@ -43,16 +43,27 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let extensions = parameters::extensions(&arguments.extension)?;
     let mut checks = measure(&chosen, &Suite::extended(extensions));
     // A check requested by name is reported without the other checks of its experiment.
-    let is_asked = |check: &Check| arguments.only.is_empty() || arguments.only.iter().any(|name| name == check.name);
+    let is_asked = |check: &Check| {
+        arguments.only.is_empty() || arguments.only.iter().any(|name| name == check.name)
+    };
     let is_whole = |check: &Check| {
-        chosen.iter().any(|e| e.checks.contains(&check.name) && arguments.only.iter().any(|name| name == e.name))
+        chosen.iter().any(|e| {
+            e.checks.contains(&check.name) && arguments.only.iter().any(|name| name == e.name)
+        })
     };
     checks.retain(|check| is_asked(check) || is_whole(check));
     let passed = checks.iter().filter(|check| check.passed).count();
     let accounted = checks.iter().filter(|check| check.is_accounted_for()).count();
     let failed = checks.len() - accounted;
     let simulator = sim::VERSION;
-    let document = Document { simulator, extensions, passed, known_deviations: accounted - passed, failed, checks };
+    let document = Document {
+        simulator,
+        extensions,
+        passed,
+        known_deviations: accounted - passed,
+        failed,
+        checks,
+    };
     common.print(&document, || text(&document))?;
     match failed {
         0 => Ok(()),
@@ -63,12 +74,22 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 /// The experiments that contain a check or have a name in `only`; all if it is empty.
 fn choose(only: &[String]) -> Result<Vec<Experiment>, FieldError> {
     let all = experiments();
-    let holds = |experiment: &Experiment, name: &str| experiment.name == name || experiment.checks.contains(&name);
-    if let Some(unknown) = only.iter().find(|name| !all.iter().any(|experiment| holds(experiment, name))) {
-        let names: Vec<&str> = all.iter().flat_map(|experiment| experiment.checks.iter().copied()).collect();
-        return Err(FieldError::new("only", format!("there is no check `{unknown}`; there are {}", names.join(", "))));
+    let holds = |experiment: &Experiment, name: &str| {
+        experiment.name == name || experiment.checks.contains(&name)
+    };
+    if let Some(unknown) =
+        only.iter().find(|name| !all.iter().any(|experiment| holds(experiment, name)))
+    {
+        let names: Vec<&str> =
+            all.iter().flat_map(|experiment| experiment.checks.iter().copied()).collect();
+        return Err(FieldError::new(
+            "only",
+            format!("there is no check `{unknown}`; there are {}", names.join(", ")),
+        ));
     }
-    let is_chosen = |experiment: &Experiment| only.is_empty() || only.iter().any(|name| holds(experiment, name));
+    let is_chosen = |experiment: &Experiment| {
+        only.is_empty() || only.iter().any(|name| holds(experiment, name))
+    };
     Ok(all.into_iter().filter(is_chosen).collect())
 }
 
@@ -88,7 +109,8 @@ fn measure(chosen: &[Experiment], suite: &Suite) -> Vec<Check> {
 
 fn text(document: &Document) -> String {
     let rows: Vec<Vec<String>> = document.checks.iter().map(row).collect();
-    let mut text = table(&["check", "measured", "expected", "+-", "unit", "result", "source"], &rows);
+    let mut text =
+        table(&["check", "measured", "expected", "+-", "unit", "result", "source"], &rows);
     text.push_str(&format!(
         "\n\n{} passed, {} known deviations, {} failed",
         document.passed, document.known_deviations, document.failed
@@ -154,6 +176,9 @@ mod tests {
 
     #[test]
     fn numbers_have_four_significant_digits() {
-        assert_eq!([short(19.4712), short(0.0), short(0.16667), short(2.5e-7)], ["19.47", "0", "0.1667", "2.5e-7"]);
+        assert_eq!(
+            [short(19.4712), short(0.0), short(0.16667), short(2.5e-7)],
+            ["19.47", "0", "0.1667", "2.5e-7"]
+        );
     }
 }

@@ -63,10 +63,17 @@ pub(super) fn svg(pile: &Pile, settings: &Settings, diameter_mm: f64) -> String 
     }
     let legend = [
         ("#b3261e", format!("apex: atan(2 h / d_base) = {:.1} deg", pile.repose.tip_deg)),
-        ("#1a56b0", format!("cone fitted to 20-80 % of the height: {:.1} deg", pile.repose.cone_deg)),
+        (
+            "#1a56b0",
+            format!("cone fitted to 20-80 % of the height: {:.1} deg", pile.repose.cone_deg),
+        ),
     ];
     for (k, (colour, text)) in legend.iter().enumerate() {
-        let _ = writeln!(out, "<text x=\"{MARGIN}\" y=\"{:.0}\" fill=\"{colour}\">{text}</text>", 30 + 28 * k);
+        let _ = writeln!(
+            out,
+            "<text x=\"{MARGIN}\" y=\"{:.0}\" fill=\"{colour}\">{text}</text>",
+            30 + 28 * k
+        );
     }
     out.push_str("</svg>\n");
     out

@@ -28,7 +28,8 @@ impl Watch {
     /// Bars on stderr, or lines if stderr is not a terminal.
     pub(super) fn new() -> Self {
         let terminal = std::io::stderr().is_terminal();
-        let target = if terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+        let target =
+            if terminal { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         Self { bars: MultiProgress::with_draw_target(target), terminal }
     }
 
@@ -68,11 +69,19 @@ impl Watch {
     }
 
     fn line(&self, label: &str) -> Line {
-        let style = ProgressStyle::with_template("{prefix:30} {bar:30} {percent:>3} %  {eta:>5} left  {msg}");
+        let style = ProgressStyle::with_template(
+            "{prefix:30} {bar:30} {percent:>3} %  {eta:>5} left  {msg}",
+        );
         let bar = self.bars.add(ProgressBar::new(STEPS as u64));
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
         bar.set_prefix(label.to_owned());
-        Line { bar, label: label.to_owned(), terminal: self.terminal, pace: None, said: Instant::now() }
+        Line {
+            bar,
+            label: label.to_owned(),
+            terminal: self.terminal,
+            pace: None,
+            said: Instant::now(),
+        }
     }
 }
 
@@ -102,7 +111,11 @@ impl Line {
             self.said = Instant::now();
             let left = seconds_left(fraction - first, 1.0 - fraction, began.elapsed());
             let left = left.map_or(String::new(), |s| format!(", about {s:.0} s left"));
-            telemetry::say(format_args!("{}: {:.0} %, {message}{left}", self.label, 100.0 * fraction));
+            telemetry::say(format_args!(
+                "{}: {:.0} %, {message}{left}",
+                self.label,
+                100.0 * fraction
+            ));
         }
     }
 
@@ -111,8 +124,9 @@ impl Line {
         self.bar.finish_with_message(message.to_owned());
         if !self.terminal {
             // A job finished by another command was never seen running.
-            let took =
-                self.pace.map_or(String::new(), |(began, _)| format!(" after {:.0} s", began.elapsed().as_secs_f64()));
+            let took = self.pace.map_or(String::new(), |(began, _)| {
+                format!(" after {:.0} s", began.elapsed().as_secs_f64())
+            });
             telemetry::say(format_args!("{}: {message}{took}", self.label));
         }
     }

@@ -9,7 +9,8 @@ use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{
-    App, Asked, Error, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest, Weighing, WeighingRequest,
+    App, Asked, Error, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest, Weighing,
+    WeighingRequest,
 };
 use crate::telemetry;
 use flip_core::domain::conditions::{Conditions, Under};
@@ -80,13 +81,22 @@ struct Document {
 /// Weighs one dose and prints how it ended.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let request = request(&arguments.powder, arguments.target_mg, arguments.tolerance_mg);
-    let (simulator, conditions) = (arguments.extended.simulator.clone(), arguments.extended.conditions()?);
+    let (simulator, conditions) =
+        (arguments.extended.simulator.clone(), arguments.extended.conditions()?);
     let policy = arguments.policy.clone();
-    let (lot, operator, vial) = (arguments.lot.clone(), arguments.operator.clone(), arguments.vial.clone());
+    let (lot, operator, vial) =
+        (arguments.lot.clone(), arguments.operator.clone(), arguments.vial.clone());
     let vial_check = if vial.is_some() { VialCheck::Confirm } else { VialCheck::Skip };
     let asked = Asked { lot, operator, vial, ..Asked::default() };
-    let request =
-        WeighingRequest { policy, seed: Some(common.seed), simulator, conditions, asked, vial_check, ..request };
+    let request = WeighingRequest {
+        policy,
+        seed: Some(common.seed),
+        simulator,
+        conditions,
+        asked,
+        vial_check,
+        ..request
+    };
     // A new key: running the command again means another dose.
     let key = uuid::Uuid::now_v7().to_string();
     let weighing = with_bench(common, &arguments.bench, async |app| {
@@ -103,16 +113,25 @@ async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure> {
     let in_the_way = |why: String| Err(Failure::Failed(anyhow::anyhow!(why)));
     if let Some(held) = &found.held {
         let advice = "`flip bench resume` lets it go on";
-        return in_the_way(format!("the bench is held since {}: {}. {advice}", held.at, held.reason));
+        return in_the_way(format!(
+            "the bench is held since {}: {}. {advice}",
+            held.at, held.reason
+        ));
     }
     if found.exchanges_vials == Some(true) {
         return Ok(());
     }
     if let Some(first) = found.waiting.first() {
         let advice = format!("`flip bench vial-ready {}` carries it out", first.id);
-        return in_the_way(format!("weighing {} was asked for before and waits for its vial: {advice}", first.id));
+        return in_the_way(format!(
+            "weighing {} was asked for before and waits for its vial: {advice}",
+            first.id
+        ));
     }
-    let holds_mg = found.vial.and_then(|vial| vial.holds_mg).filter(|mg| *mg > 0.0 && vial_check == VialCheck::Skip);
+    let holds_mg = found
+        .vial
+        .and_then(|vial| vial.holds_mg)
+        .filter(|mg| *mg > 0.0 && vial_check == VialCheck::Skip);
     if let Some(holds_mg) = holds_mg {
         telemetry::say(format_args!(
             "flip: the vial on the pan holds {holds_mg:.1} mg unless it was exchanged; --vial NAME asks the balance"
@@ -138,7 +157,10 @@ pub(super) fn report(common: &Common, weighing: Weighing) -> Result<(), Failure>
         under: weighing.under,
         seed: weighing.seed,
     };
-    match weighing.error.filter(|_| matches!(weighing.state, WeighingState::Aborted | WeighingState::Unknown)) {
+    match weighing
+        .error
+        .filter(|_| matches!(weighing.state, WeighingState::Aborted | WeighingState::Unknown))
+    {
         Some(error) => Err(Failure::Failed(anyhow::anyhow!("weighing {}: {error}", weighing.id))),
         None => common.print(&document, || text(&document)),
     }
@@ -162,13 +184,26 @@ pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> Weighi
 
 /// Commits the intent (or finds the one created with `key` before), first calibrating the powder if
 /// necessary, and waits until the bench has carried it out.
-pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, key: &str) -> Result<Weighing, Failure> {
+pub(super) async fn weigh(
+    app: &App,
+    watch: &Watch,
+    request: WeighingRequest,
+    key: &str,
+) -> Result<Weighing, Failure> {
     let (weighing, _) = match app.start_weighing(request.clone(), key).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
             require_policy(app, request.policy.as_deref()).await?;
             watch.say(&format!("{message}: calibrating first"));
             let target = CalibrationTarget::Powder(request.powder.clone());
-            calibrate(app, watch, &[target], None, request.simulator.as_deref(), request.seed.unwrap_or(1)).await?;
+            calibrate(
+                app,
+                watch,
+                &[target],
+                None,
+                request.simulator.as_deref(),
+                request.seed.unwrap_or(1),
+            )
+            .await?;
             app.start_weighing(request, key).await.map_err(in_flags)?
         }
         started => started.map_err(in_flags)?,
@@ -177,12 +212,18 @@ pub(super) async fn weigh(app: &App, watch: &Watch, request: WeighingRequest, ke
 }
 
 /// Waits until the dose has ended; if it waits for its vial, confirms that the vial is in.
-pub(super) async fn ended(app: &App, id: &str, vial: &VialReadyRequest) -> Result<Weighing, Failure> {
+pub(super) async fn ended(
+    app: &App,
+    id: &str,
+    vial: &VialReadyRequest,
+) -> Result<Weighing, Failure> {
     let mut said = false;
     loop {
         let weighing = app.weighing(id).await?.weighing;
         match weighing.state {
-            WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown => return Ok(weighing),
+            WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown => {
+                return Ok(weighing);
+            }
             WeighingState::AwaitingVial if !said => {
                 app.vial_ready(id, vial.clone()).await?;
                 said = true;
@@ -207,7 +248,9 @@ fn in_flags(error: Error) -> Failure {
 }
 
 fn text(document: &Document) -> String {
-    let mg = |value: Option<f64>| value.map_or_else(|| "unknown".into(), |value| format!("{value:.2} mg"));
+    let mg = |value: Option<f64>| {
+        value.map_or_else(|| "unknown".into(), |value| format!("{value:.2} mg"))
+    };
     let outcome = serde_json::to_value(document.outcome).ok();
     let measured = document.measured.as_ref();
     let is_unproven = measured.is_some_and(|measured| measured.proven == Some(false));
@@ -218,12 +261,20 @@ fn text(document: &Document) -> String {
         if is_unproven { ", not proven" } else { "" },
         document.target_mg,
         mg(document.reading_mg),
-        measured.map_or_else(String::new, |measured| format!(" +- {:.2} mg (k = 2)", measured.uncertainty_mg)),
+        measured.map_or_else(String::new, |measured| format!(
+            " +- {:.2} mg (k = 2)",
+            measured.uncertainty_mg
+        )),
         mg(document.error_mg),
-        document.dispensed_mg.map_or_else(|| "unknown".into(), |mg| format!("{mg:.2} mg, true mass")),
+        document
+            .dispensed_mg
+            .map_or_else(|| "unknown".into(), |mg| format!("{mg:.2} mg, true mass")),
         document.shakes.unwrap_or_default(),
         document.seconds.unwrap_or_default(),
         document.policy,
-        document.under.as_ref().map_or_else(String::new, |under| format!("\nbench      {}", words(under)))
+        document
+            .under
+            .as_ref()
+            .map_or_else(String::new, |under| format!("\nbench      {}", words(under)))
     )
 }

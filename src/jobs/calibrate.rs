@@ -107,38 +107,59 @@ pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<()
     let history: Vec<calibrate::Trial> = history.into_iter().map(from_row).collect();
     let clock = Clock::default();
     let simulate = |set: &ParameterSet, pour: Pour, seed: u64| {
-        let settings = repose::Settings { readings: pour.readings, ..repose::Settings::with_particles(pour.particles) };
+        let settings = repose::Settings {
+            readings: pour.readings,
+            ..repose::Settings::with_particles(pour.particles)
+        };
         let begun = Instant::now();
         let repose = (context.functions.simulate)(set, &settings, seed);
-        clock.lock().unwrap_or_else(PoisonError::into_inner).insert(seed, begun.elapsed().as_secs_f64());
+        clock
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(seed, begun.elapsed().as_secs_f64());
         let repose = repose?;
         let repose::Repose { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s, .. } = repose;
         Ok::<_, repose::Refusal>(Heap { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s })
     };
-    let shared =
-        spec.design.as_ref().map(|design| emulator(context, design, &spec.simulator, simulate, &clock)).transpose()?;
+    let shared = spec
+        .design
+        .as_ref()
+        .map(|design| emulator(context, design, &spec.simulator, simulate, &clock))
+        .transpose()?;
     let (channels, built): (Vec<Channel>, Vec<u32>) = match &shared {
-        Some((emulator, _)) => observe::channels(context, &spec.observations, emulator, &spec.simulator)?,
+        Some((emulator, _)) => {
+            observe::channels(context, &spec.observations, emulator, &spec.simulator)?
+        }
         None => Vec::new(),
     }
     .into_iter()
     .unzip();
-    let knowledge = shared.as_ref().map(|(emulator, _)| Knowledge { emulator, channels: &channels });
+    let knowledge =
+        shared.as_ref().map(|(emulator, _)| Knowledge { emulator, channels: &channels });
     let mut unsaved = None;
-    let found = calibrate::calibrate(&spec.target, &spec.settings, knowledge, &history, simulate, |trial, progress| {
-        let row = timed(trial, &clock);
-        let saved = keep(context, progress, async |tx| {
-            tx.insert_trial(context.id(), &row).await?;
-            context.tell(tx, "trial", &row).await
-        });
-        unless(saved, &mut unsaved, context)
-    });
+    let found = calibrate::calibrate(
+        &spec.target,
+        &spec.settings,
+        knowledge,
+        &history,
+        simulate,
+        |trial, progress| {
+            let row = timed(trial, &clock);
+            let saved = keep(context, progress, async |tx| {
+                tx.insert_trial(context.id(), &row).await?;
+                context.tell(tx, "trial", &row).await
+            });
+            unless(saved, &mut unsaved, context)
+        },
+    );
     match (found, unsaved) {
         (_, Some(error)) => Err(error.into()),
         (Ok(calibration), None) => {
             let target = calibrate::in_emulator_heaps(&spec.target, calibration.size_shift_deg);
-            let posterior = knowledge.map(|known| Posterior::of(known, &target, DRAWS, spec.settings.seed));
-            let sets: Vec<ParameterSet> = calibration.sets.iter().map(|set| set.parameters).collect();
+            let posterior =
+                knowledge.map(|known| Posterior::of(known, &target, DRAWS, spec.settings.seed));
+            let sets: Vec<ParameterSet> =
+                calibration.sets.iter().map(|set| set.parameters).collect();
             let observed = observe::look(context, &channels, &built, &sets, spec.settings.seed)?;
             finish(context, spec, calibration, shared.map(|(_, used)| used), posterior, observed)
         }
@@ -211,7 +232,8 @@ fn finish(
 ) -> Result<(), JobError> {
     let posterior = match posterior {
         Some(posterior) => {
-            let text = serde_json::to_vec(&posterior).map_err(|error| JobError::Fail(error.to_string()))?;
+            let text = serde_json::to_vec(&posterior)
+                .map_err(|error| JobError::Fail(error.to_string()))?;
             Some(context.store.artifacts().put(&text)?)
         }
         None => None,

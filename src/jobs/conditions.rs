@@ -38,7 +38,12 @@ impl Default for Conditions {
     /// The conditions of ordinary weighings and trainings.
     fn default() -> Self {
         let spoon = dispense::Settings::default();
-        Self { particles: spoon.particles, extensions: spoon.extensions, shake: None, spoon: Spoon::default() }
+        Self {
+            particles: spoon.particles,
+            extensions: spoon.extensions,
+            shake: None,
+            spoon: Spoon::default(),
+        }
     }
 }
 
@@ -47,17 +52,28 @@ impl Conditions {
     ///
     /// # Errors
     /// Every field that is out of bounds: `particles`, `extensions.<name>`.
-    pub fn named(particles: Option<u32>, extensions: &BTreeMap<String, f64>) -> Result<Self, Vec<FieldError>> {
+    pub fn named(
+        particles: Option<u32>,
+        extensions: &BTreeMap<String, f64>,
+    ) -> Result<Self, Vec<FieldError>> {
         let mut errors = Vec::new();
         let mut conditions = Self::default();
         if let Some(particles) = particles {
-            let checked = bounded("particles", particles.into(), PARTICLES_MIN.into(), PARTICLES_MAX.into(), "grains");
+            let checked = bounded(
+                "particles",
+                particles.into(),
+                PARTICLES_MIN.into(),
+                PARTICLES_MAX.into(),
+                "grains",
+            );
             checked.map_or_else(|error| errors.push(error), |_| conditions.particles = particles);
         }
         for (name, amplitude) in extensions {
             match conditions.extensions.with(name, *amplitude) {
                 Ok(extended) => conditions.extensions = extended,
-                Err(error) => errors.push(FieldError::new(format!("extensions.{name}"), error.message)),
+                Err(error) => {
+                    errors.push(FieldError::new(format!("extensions.{name}"), error.message))
+                }
             }
         }
         if errors.is_empty() { Ok(conditions) } else { Err(errors) }
@@ -68,7 +84,10 @@ impl Conditions {
     /// # Errors
     /// `spoon.…`: such a spoon is impossible, or cannot be simulated.
     pub fn with_spoon(self, spoon: Spoon) -> Result<Self, FieldError> {
-        measured(&spoon, dispense::Settings { particles: self.particles, ..dispense::Settings::default() })?;
+        measured(
+            &spoon,
+            dispense::Settings { particles: self.particles, ..dispense::Settings::default() },
+        )?;
         Ok(Self { spoon, ..self })
     }
 
@@ -96,7 +115,12 @@ impl Conditions {
     pub fn spoon(&self) -> dispense::Settings {
         let usual = dispense::Settings::default();
         let shake = self.shake.unwrap_or(usual.shake);
-        let settings = dispense::Settings { particles: self.particles, extensions: self.extensions, shake, ..usual };
+        let settings = dispense::Settings {
+            particles: self.particles,
+            extensions: self.extensions,
+            shake,
+            ..usual
+        };
         // It was checked when the spoon was given.
         simulated(&self.spoon, settings).unwrap_or(settings)
     }
@@ -113,8 +137,12 @@ impl Conditions {
 mod tests {
     use super::*;
 
-    fn named(particles: Option<u32>, extensions: &[(&str, f64)]) -> Result<Conditions, Vec<FieldError>> {
-        let extensions = extensions.iter().map(|(name, amplitude)| ((*name).to_owned(), *amplitude)).collect();
+    fn named(
+        particles: Option<u32>,
+        extensions: &[(&str, f64)],
+    ) -> Result<Conditions, Vec<FieldError>> {
+        let extensions =
+            extensions.iter().map(|(name, amplitude)| ((*name).to_owned(), *amplitude)).collect();
         Conditions::named(particles, &extensions)
     }
 
@@ -124,7 +152,10 @@ mod tests {
         let conditions = named(Some(1500), &[("rotation", 1.0), ("humidity", 0.5)]).unwrap();
         assert!(!conditions.are_usual());
         let spoon = conditions.spoon();
-        assert_eq!((spoon.particles, spoon.extensions.rotation, spoon.extensions.humidity), (1500, 1.0, 0.5));
+        assert_eq!(
+            (spoon.particles, spoon.extensions.rotation, spoon.extensions.humidity),
+            (1500, 1.0, 0.5)
+        );
         let amplitudes: Vec<(String, f64)> = conditions.amplitudes().into_iter().collect();
         assert_eq!(amplitudes, [("humidity".to_owned(), 0.5), ("rotation".to_owned(), 1.0)]);
         let sets = [ParameterSet::default()];
@@ -142,7 +173,10 @@ mod tests {
             found.iter().map(|it| it.0.as_str()).collect::<Vec<_>>(),
             ["particles", "extensions.rotation", "extensions.wind"]
         );
-        assert!(found[0].1.contains("from 500 to 4000") && found[1].1.contains("from 0 to 1"), "{found:?}");
+        assert!(
+            found[0].1.contains("from 500 to 4000") && found[1].1.contains("from 0 to 1"),
+            "{found:?}"
+        );
         assert!(found[2].1.contains("rolling_friction"), "{found:?}");
     }
 

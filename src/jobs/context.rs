@@ -54,8 +54,22 @@ pub(super) struct JobContext {
 }
 
 impl JobContext {
-    pub fn new(store: Store, functions: Functions, lease: Lease, stop: Arc<StopFlag>, runtime: Handle) -> Self {
-        Self { store, functions, lease, stop, runtime, reported: Mutex::default(), reporting: Mutex::default() }
+    pub fn new(
+        store: Store,
+        functions: Functions,
+        lease: Lease,
+        stop: Arc<StopFlag>,
+        runtime: Handle,
+    ) -> Self {
+        Self {
+            store,
+            functions,
+            lease,
+            stop,
+            runtime,
+            reported: Mutex::default(),
+            reporting: Mutex::default(),
+        }
     }
 
     /// Job id.
@@ -76,7 +90,11 @@ impl JobContext {
     /// Reports progress, at most four times a second except for the last report.
     pub fn report(&self, progress: &Progress) -> store::Result<()> {
         match self.is_to_be_told(progress) {
-            true => self.runtime.block_on(tell(self.store.clone(), self.lease.clone(), progress.clone())),
+            true => self.runtime.block_on(tell(
+                self.store.clone(),
+                self.lease.clone(),
+                progress.clone(),
+            )),
             false => Ok(()),
         }
     }
@@ -95,7 +113,11 @@ impl JobContext {
             told?;
         }
         if self.is_to_be_told(progress) {
-            *reporting = Some(self.runtime.spawn(tell(self.store.clone(), self.lease.clone(), progress.clone())));
+            *reporting = Some(self.runtime.spawn(tell(
+                self.store.clone(),
+                self.lease.clone(),
+                progress.clone(),
+            )));
         }
         Ok(())
     }
@@ -114,7 +136,10 @@ impl JobContext {
     ///
     /// # Errors
     /// [`store::Error::Fenced`]: the lease is lost, nothing was written.
-    pub fn save(&self, save: impl AsyncFnOnce(&mut Tx) -> store::Result<bool>) -> store::Result<()> {
+    pub fn save(
+        &self,
+        save: impl AsyncFnOnce(&mut Tx) -> store::Result<bool>,
+    ) -> store::Result<()> {
         self.runtime.block_on(async {
             let mut tx = self.store.write().await?;
             tx.prove(&self.lease).await?;
@@ -141,7 +166,8 @@ impl JobContext {
         result: &T,
         save: impl AsyncFnOnce(&mut Tx) -> store::Result<()>,
     ) -> store::Result<()> {
-        let result = serde_json::to_string(result).map_err(|error| store::Error::Corrupt(error.to_string()))?;
+        let result = serde_json::to_string(result)
+            .map_err(|error| store::Error::Corrupt(error.to_string()))?;
         self.runtime.block_on(async {
             let mut tx = self.store.write().await?;
             tx.prove(&self.lease).await?;
@@ -171,16 +197,19 @@ mod tests {
     async fn a_report_that_waits_for_another_program_holds_up_no_open_gate() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
-        let other = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
+        let other =
+            sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
         let other = sqlx::SqlitePool::connect_with(other).await.unwrap();
         let held = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
         sqlx::query("PRAGMA busy_timeout = 1").execute(store.writer().unwrap()).await.unwrap();
         let lease = Lease { job: "j".into(), fence: 1 };
-        let context = JobContext::new(store, Functions::default(), lease, Arc::default(), Handle::current());
+        let context =
+            JobContext::new(store, Functions::default(), lease, Arc::default(), Handle::current());
         let told = move || {
             let progress = Progress { fraction: 0.0, message: "the powder runs out".into() };
             let now = context.report_meanwhile(&progress);
-            while context.reporting.lock().unwrap().as_ref().is_some_and(|task| !task.is_finished()) {
+            while context.reporting.lock().unwrap().as_ref().is_some_and(|task| !task.is_finished())
+            {
                 std::thread::yield_now();
             }
             (now, context.report_meanwhile(&progress))

@@ -12,7 +12,8 @@ use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Outcome;
 use flip_learn::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
 use flip_policy::{
-    self, Controller, Dispenser, Fuzzy, Kind, Paced, Pid, Policy, Response, Rules, Schedule, ScheduledStep,
+    self, Controller, Dispenser, Fuzzy, Kind, Paced, Pid, Policy, Response, Rules, Schedule,
+    ScheduledStep,
 };
 use flip_sim::{balance, dispense};
 use flip_store as store;
@@ -23,7 +24,8 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
-pub const CONTROLLERS: [&str; 8] = [POLICY, "untrained", "fixed", "schedule", "dispenser", "pid", "fuzzy", "paced"];
+pub const CONTROLLERS: [&str; 8] =
+    [POLICY, "untrained", "fixed", "schedule", "dispenser", "pid", "fuzzy", "paced"];
 /// The controller being evaluated.
 pub const POLICY: &str = "policy";
 
@@ -41,12 +43,20 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
     let plan = plan(context, spec, &policy)?;
     let rules = Rules { steps_max: spec.max_shakes, ..policy.manifest.rules };
     let doses = Doses::resume(context, &plan)?;
-    let weigh_once = |controller: &Controller, subject: &Subject, set: &ParameterSet, target_mg: f64, seed: u64| {
+    let weigh_once = |controller: &Controller,
+                      subject: &Subject,
+                      set: &ParameterSet,
+                      target_mg: f64,
+                      seed: u64| {
         doses.known_or(controller, set, target_mg, seed, || {
-            let patch = spec.powders.iter().find(|it| it.powder == subject.powder).map(|it| &it.patch);
+            let patch =
+                spec.powders.iter().find(|it| it.powder == subject.powder).map(|it| &it.patch);
             let patch = patch.cloned().unwrap_or_default();
             let usual = spec.conditions.spoon();
-            let extensions = usual.extensions.patched(&patch).map_err(|error| JobError::Fail(error.to_string()))?;
+            let extensions = usual
+                .extensions
+                .patched(&patch)
+                .map_err(|error| JobError::Fail(error.to_string()))?;
             let pouring = Pouring {
                 forecast: Forecast::GENERIC,
                 order: Order {
@@ -57,7 +67,10 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
                 },
                 controller: controller.clone(),
                 rules,
-                balance: balance::Settings { readability_mg: spec.readability_mg, ..balance::Settings::default() },
+                balance: balance::Settings {
+                    readability_mg: spec.readability_mg,
+                    ..balance::Settings::default()
+                },
                 spoon: dispense::Settings { extensions, ..usual },
                 set: patch.powder(set),
                 accuracy: Accuracy::default(),
@@ -65,12 +78,20 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
                 seed,
                 pan: PanCheck::NONE,
             };
-            let poured =
-                (context.functions.pour)(&pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));
-            let weighed = poured.dispensed_mg.zip(poured.reading_mg).filter(|_| poured.outcome != Outcome::NotStable);
+            let poured = (context.functions.pour)(
+                &pouring,
+                &mut |_| ControlFlow::Continue(()),
+                &AtomicBool::new(false),
+            );
+            let weighed = poured
+                .dispensed_mg
+                .zip(poured.reading_mg)
+                .filter(|_| poured.outcome != Outcome::NotStable);
             let Some((dispensed_mg, reading_mg)) = weighed else {
                 let cause = poured.error.unwrap_or_default();
-                return Err(JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {cause}")));
+                return Err(JobError::Fail(format!(
+                    "a weighing of {target_mg} mg was aborted: {cause}"
+                )));
             };
             Ok(Dose { dispensed_mg, reading_mg, shakes: poured.shakes, seconds: poured.seconds })
         })
@@ -93,16 +114,25 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
 /// The policy whose ranking a controller's errors count towards, if any: only doses like those of a
 /// weighing, with its spoon, its balance and the rules that the policy was made for, are evidence
 /// of which policy weighs best.
-fn about<'a>(spec: &'a EvaluationSpec, policy: &Policy, rules: &Rules, controller: &str) -> Option<&'a str> {
+fn about<'a>(
+    spec: &'a EvaluationSpec,
+    policy: &Policy,
+    rules: &Rules,
+    controller: &str,
+) -> Option<&'a str> {
     let usual_balance = spec.readability_mg == balance::Settings::default().readability_mg;
     let is_base = spec.under.is_none();
-    let usual = |of: &Policy| is_base && spec.conditions.are_usual() && usual_balance && *rules == of.manifest.rules;
+    let usual = |of: &Policy| {
+        is_base && spec.conditions.are_usual() && usual_balance && *rules == of.manifest.rules
+    };
     let shipped = flip_policy::shipped();
     match controller {
         POLICY => usual(policy).then_some(spec.policy.as_str()),
         name => {
-            let is_shipped =
-                spec.rivals.iter().any(|kind| kind.name() == name && *kind == shipped.policy.manifest.kind);
+            let is_shipped = spec
+                .rivals
+                .iter()
+                .any(|kind| kind.name() == name && *kind == shipped.policy.manifest.kind);
             (is_shipped && usual(&shipped.policy)).then_some(shipped.id.as_str())
         }
     }
@@ -121,8 +151,16 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
             "untrained" => Controller::untrained(spec.seed),
             "fixed" => Controller::Fixed(ScheduledStep::FIXED),
             "schedule" => Controller::Schedule(spec.schedule.clone()),
-            other => match spec.rivals.iter().find(|kind| kind.name() == other).cloned().or_else(|| rival(other)) {
-                Some(Kind::Dispenser { response }) => Controller::Dispenser(Dispenser::new(response)),
+            other => match spec
+                .rivals
+                .iter()
+                .find(|kind| kind.name() == other)
+                .cloned()
+                .or_else(|| rival(other))
+            {
+                Some(Kind::Dispenser { response }) => {
+                    Controller::Dispenser(Dispenser::new(response))
+                }
                 Some(Kind::Pid { gains }) => Controller::Pid(gains),
                 Some(Kind::Fuzzy { fuzzy }) => Controller::Fuzzy(fuzzy),
                 Some(Kind::Paced { paced }) => Controller::Paced(paced),
@@ -136,7 +174,10 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
         let mut sets = Vec::new();
         for id in &powder.sets {
             let set = context.read(context.store.parameter_set(id))?;
-            sets.push(set.ok_or_else(|| JobError::Fail(format!("there is no parameter set `{id}`")))?.parameters);
+            sets.push(
+                set.ok_or_else(|| JobError::Fail(format!("there is no parameter set `{id}`")))?
+                    .parameters,
+            );
         }
         subjects.push(Subject { powder: powder.powder.clone(), sets });
     }
@@ -176,7 +217,9 @@ pub fn tuned_schedule() -> Schedule {
         (43.3, 5.6),
         (47.9, 5.8),
     ];
-    Schedule { steps: STEPS.map(|(pitch_deg, shake_mm)| ScheduledStep { pitch_deg, shake_mm }).to_vec() }
+    Schedule {
+        steps: STEPS.map(|(pitch_deg, shake_mm)| ScheduledStep { pitch_deg, shake_mm }).to_vec(),
+    }
 }
 
 /// Doses that are stored as they complete, so that an evaluation that was killed does not repeat
@@ -205,7 +248,8 @@ impl<'a> Doses<'a> {
         seed: u64,
         weigh: impl FnOnce() -> Result<Dose, JobError>,
     ) -> Result<Dose, JobError> {
-        let contender = self.plan.contenders.iter().find(|c| std::ptr::eq(&c.controller, controller));
+        let contender =
+            self.plan.contenders.iter().find(|c| std::ptr::eq(&c.controller, controller));
         let name = contender.map_or("", |c| c.name.as_str());
         let key = format!("{name} {} {target_mg} {seed}", set.id());
         if let Some(dose) = self.known.get(&key) {
@@ -215,7 +259,8 @@ impl<'a> Doses<'a> {
             return Err(JobError::Stopped);
         }
         let dose = weigh()?;
-        self.context.save(async |tx| tx.insert_dose(self.context.id(), &key, &dose).await.map(|()| true))?;
+        self.context
+            .save(async |tx| tx.insert_dose(self.context.id(), &key, &dose).await.map(|()| true))?;
         let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
         let message = format!("dose {done} of {}", self.all);
         self.context.report(&Progress { fraction: done as f64 / self.all as f64, message })?;

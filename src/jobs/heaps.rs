@@ -41,7 +41,13 @@ impl<'a> Pourer<'a> {
     /// Creates one that has poured nothing; `None` if an investigation simulates nothing.
     pub(super) fn of(context: &'a JobContext, spec: &'a InvestigationSpec) -> Option<Self> {
         let heaps = spec.heaps.as_ref().filter(|heaps| !heaps.sets.is_empty())?;
-        Some(Self { context, heaps, seed: spec.settings.seed, poured: AtomicU32::new(0), unsaved: Mutex::default() })
+        Some(Self {
+            context,
+            heaps,
+            seed: spec.settings.seed,
+            poured: AtomicU32::new(0),
+            unsaved: Mutex::default(),
+        })
     }
 
     /// Number of heaps so far.
@@ -58,33 +64,55 @@ impl<'a> Pourer<'a> {
         if repeats < 2 {
             return Ok(None);
         }
-        let found = numerics::criticise(1, repeats, derive(self.seed, &[NUMERICS]), |_, varied, factor, seed| {
-            let usual = match varied {
-                Varied::Particles => {
-                    Settings::with_particles((factor * f64::from(Settings::default().particles)) as u32)
-                }
-                _ => Settings::default(),
-            };
-            let settings = match varied {
-                Varied::SettlingTime => Settings { settle_max_s: usual.settle_max_s * factor, ..usual },
-                Varied::Substep => Settings { substep_s: usual.substep_s * factor, ..usual },
-                Varied::Particles => usual,
-            };
-            self.pour(parameters, settings, seed, "whether heaps depend on how they are computed", share)
-        });
+        let found = numerics::criticise(
+            1,
+            repeats,
+            derive(self.seed, &[NUMERICS]),
+            |_, varied, factor, seed| {
+                let usual = match varied {
+                    Varied::Particles => Settings::with_particles(
+                        (factor * f64::from(Settings::default().particles)) as u32,
+                    ),
+                    _ => Settings::default(),
+                };
+                let settings = match varied {
+                    Varied::SettlingTime => {
+                        Settings { settle_max_s: usual.settle_max_s * factor, ..usual }
+                    }
+                    Varied::Substep => Settings { substep_s: usual.substep_s * factor, ..usual },
+                    Varied::Particles => usual,
+                };
+                self.pour(
+                    parameters,
+                    settings,
+                    seed,
+                    "whether heaps depend on how they are computed",
+                    share,
+                )
+            },
+        );
         self.settled()?;
         // A dependence without an interval cannot be reported and carries no information.
-        let dependences: Vec<_> = found.into_iter().filter(|it| it.ci99.iter().all(|end| end.is_finite())).collect();
+        let dependences: Vec<_> =
+            found.into_iter().filter(|it| it.ci99.iter().all(|end| end.is_finite())).collect();
         Ok((!dependences.is_empty()).then(|| Numerics { set: set.clone(), dependences }))
     }
 
     /// Fits amplitudes with simulated heaps instead of the table, using the rest of the budget; the
     /// report includes them.
-    pub(super) fn fit(&self, extended: &mut Extended, report: &mut Report, share: [f64; 2]) -> Result<(), JobError> {
+    pub(super) fn fit(
+        &self,
+        extended: &mut Extended,
+        report: &mut Report,
+        share: [f64; 2],
+    ) -> Result<(), JobError> {
         let sets: Vec<_> = self.heaps.sets.iter().map(|it| it.0.clone()).collect();
-        let mut left = extended.extensions.iter().filter(|it| it.hook != Hook::Reading).count() as u32;
+        let mut left =
+            extended.extensions.iter().filter(|it| it.hook != Hook::Reading).count() as u32;
         let mut all_verified = left > 0;
-        for (k, extension) in extended.extensions.iter_mut().enumerate().filter(|it| it.1.hook != Hook::Reading) {
+        for (k, extension) in
+            extended.extensions.iter_mut().enumerate().filter(|it| it.1.hook != Hook::Reading)
+        {
             let budget = self.heaps.budget_runs.saturating_sub(self.poured()) / left;
             left -= 1;
             let seed = derive(self.seed, &[FIT, k as u64]);
@@ -98,8 +126,11 @@ impl<'a> Pourer<'a> {
                 continue;
             };
             all_verified &= fit.verified;
-            let told = report.causes.iter_mut().filter(|cause| cause.mechanism == extension.mechanism);
-            for parameter in told.flat_map(|cause| &mut cause.parameters).filter(|it| it.name == amplitude.name) {
+            let told =
+                report.causes.iter_mut().filter(|cause| cause.mechanism == extension.mechanism);
+            for parameter in
+                told.flat_map(|cause| &mut cause.parameters).filter(|it| it.name == amplitude.name)
+            {
                 parameter.clone_from(&amplitude);
             }
             extension.amplitude = amplitude;
@@ -110,7 +141,14 @@ impl<'a> Pourer<'a> {
     }
 
     /// The angle of a heap; `None` if it has none, or the job is to end.
-    fn pour(&self, set: &ParameterSet, settings: Settings, seed: u64, what: &str, share: [f64; 2]) -> Option<f64> {
+    fn pour(
+        &self,
+        set: &ParameterSet,
+        settings: Settings,
+        seed: u64,
+        what: &str,
+        share: [f64; 2],
+    ) -> Option<f64> {
         if self.context.flow().is_break() {
             return None;
         }
@@ -143,7 +181,8 @@ fn under(set: &ParameterSet, patch: &Patch) -> Option<(ParameterSet, Settings)> 
     let settings = Settings {
         extensions: usual.extensions.patched(patch).ok()?,
         base_friction: (usual.base_friction + more("base_friction")).max(0.0),
-        funnel_clearance_diameters: (usual.funnel_clearance_diameters + more("funnel_clearance")).max(CLEARANCE_MIN),
+        funnel_clearance_diameters: (usual.funnel_clearance_diameters + more("funnel_clearance"))
+            .max(CLEARANCE_MIN),
         ..usual
     };
     Some((patch.powder(set), settings))
@@ -158,8 +197,14 @@ mod tests {
     fn an_extended_simulator_at_its_reference_is_its_base_in_every_bit() {
         let set = ParameterSet::default();
         let (powder, settings) = under(&set, &Patch::default()).unwrap();
-        let small = |settings: Settings| Settings { particles: 400, base_radius_diameters: 5.0, ..settings };
-        let bits = |set: &ParameterSet, settings: Settings| repose(set, &small(settings), 1).unwrap().tip_deg.to_bits();
+        let small = |settings: Settings| Settings {
+            particles: 400,
+            base_radius_diameters: 5.0,
+            ..settings
+        };
+        let bits = |set: &ParameterSet, settings: Settings| {
+            repose(set, &small(settings), 1).unwrap().tip_deg.to_bits()
+        };
         assert_eq!(bits(&powder, settings), bits(&set, Settings::default()));
         let wet = Patch { amplitudes: [("humidity".to_owned(), 0.5)].into(), ..Patch::default() };
         let (powder, settings) = under(&set, &wet).unwrap();
@@ -168,9 +213,14 @@ mod tests {
 
     #[test]
     fn conditions_reach_the_heap_experiment() {
-        let heap = [("base_friction".to_owned(), -0.3), ("funnel_clearance".to_owned(), -9.0)].into();
-        let (_, settings) = under(&ParameterSet::default(), &Patch { heap, ..Patch::default() }).unwrap();
-        assert!((settings.base_friction - 0.5).abs() < 1e-12 && settings.funnel_clearance_diameters == CLEARANCE_MIN);
+        let heap =
+            [("base_friction".to_owned(), -0.3), ("funnel_clearance".to_owned(), -9.0)].into();
+        let (_, settings) =
+            under(&ParameterSet::default(), &Patch { heap, ..Patch::default() }).unwrap();
+        assert!(
+            (settings.base_friction - 0.5).abs() < 1e-12
+                && settings.funnel_clearance_diameters == CLEARANCE_MIN
+        );
         let unknown = Patch { amplitudes: [("wind".to_owned(), 1.0)].into(), ..Patch::default() };
         assert!(under(&ParameterSet::default(), &unknown).is_none());
     }

@@ -36,7 +36,8 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
     if let Some(error) = unsaved {
         return Err(error.into());
     }
-    let mut report = report.map_err(|error| JobError::Fail(error.to_string()))?.ok_or(JobError::Stopped)?;
+    let mut report =
+        report.map_err(|error| JobError::Fail(error.to_string()))?.ok_or(JobError::Stopped)?;
     let accepted = report.is_worth_a_version();
     if let Some(numerics) = numerics {
         tell(&mut report, numerics);
@@ -44,7 +45,8 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
     let version = accepted.then(|| spec.version());
     report.simulator_version.extended.clone_from(&version);
     let mut extended = match campaign.as_ref().filter(|_| accepted) {
-        Some(of) => extend(of, &responses(of), &report).map_err(|error| JobError::Fail(error.to_string()))?,
+        Some(of) => extend(of, &responses(of), &report)
+            .map_err(|error| JobError::Fail(error.to_string()))?,
         None => None,
     };
     if let (Some(pourer), Some(extended)) = (&pourer, &mut extended) {
@@ -53,8 +55,8 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
     report.read_from(&spec.files);
     report.simulator_runs = pourer.map_or(0, |pourer| pourer.poured());
     report.wall_s = began.elapsed().as_secs_f64();
-    let body =
-        serde_json::to_string(&Body::of(&report, extended)).map_err(|error| JobError::Fail(error.to_string()))?;
+    let body = serde_json::to_string(&Body::of(&report, extended))
+        .map_err(|error| JobError::Fail(error.to_string()))?;
     context.succeed(&report, async |tx| match &version {
         Some(version) => tx.insert_simulator(version, simulator, context.id(), &body).await,
         None => Ok(()),
@@ -79,7 +81,15 @@ struct Body<'a> {
 impl<'a> Body<'a> {
     fn of(report: &'a Report, extended: Option<Extended>) -> Self {
         let Report { sentence, causes, unexplained, gain, .. } = report;
-        let causes = causes.iter().filter(|it| it.confidence_level > 1 && it.mechanism != CREEP).collect();
-        Self { sentence, causes, unexplained, gain, verified: report.simulator_version.verified, extended }
+        let causes =
+            causes.iter().filter(|it| it.confidence_level > 1 && it.mechanism != CREEP).collect();
+        Self {
+            sentence,
+            causes,
+            unexplained,
+            gain,
+            verified: report.simulator_version.verified,
+            extended,
+        }
     }
 }

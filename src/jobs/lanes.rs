@@ -25,7 +25,8 @@ pub(super) type Place = OwnedSemaphorePermit;
 impl Lanes {
     /// All slots free.
     pub fn new() -> Self {
-        let trainings_max = std::thread::available_parallelism().map_or(2, |cores| cores.get().max(2)) as u32;
+        let trainings_max =
+            std::thread::available_parallelism().map_or(2, |cores| cores.get().max(2)) as u32;
         let free = |places: u32| Arc::new(Semaphore::new(places as usize));
         Self { turns: free(1), trainings: free(trainings_max), trainings_max, bench: free(1) }
     }
@@ -73,7 +74,8 @@ mod tests {
         assert_eq!(trainings.len() as u32, lanes.trainings_max);
         drop(calibration);
         assert!(lanes.take(JobKind::Evaluation).is_some());
-        let waiting = tokio::time::timeout(std::time::Duration::from_millis(20), lanes.all_free()).await;
+        let waiting =
+            tokio::time::timeout(std::time::Duration::from_millis(20), lanes.all_free()).await;
         assert!(waiting.is_err(), "trainings still compute");
         drop((trainings, measurement));
         lanes.all_free().await;

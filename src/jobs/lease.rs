@@ -28,7 +28,12 @@ pub(super) struct Renewer {
 
 impl Renewer {
     /// Starts renewing; a lost lease or a cancellation sets `stop`.
-    pub fn start(store: Store, lease: Lease, stop: Arc<StopFlag>, runtime: Handle) -> std::io::Result<Self> {
+    pub fn start(
+        store: Store,
+        lease: Lease,
+        stop: Arc<StopFlag>,
+        runtime: Handle,
+    ) -> std::io::Result<Self> {
         let (done, wait) = channel::<()>();
         let renewing = move || {
             while wait.recv_timeout(RENEW) == Err(RecvTimeoutError::Timeout) {
@@ -62,6 +67,8 @@ async fn renew(store: &Store, lease: &Lease, stop: &StopFlag) {
         Ok(false) => {}
         Ok(true) => stop.set(Stop::Cancelled),
         Err(store::Error::Fenced) => stop.set(Stop::Fenced),
-        Err(error) => tracing::warn!(job = lease.job, %error, "a lease was not renewed; the next try may"),
+        Err(error) => {
+            tracing::warn!(job = lease.job, %error, "a lease was not renewed; the next try may")
+        }
     }
 }

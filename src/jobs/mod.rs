@@ -39,8 +39,8 @@ pub use conditions::Conditions;
 pub use context::JobError;
 pub use priority::give_way_to_the_bench;
 pub use spec::{
-    CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec, ReposeSpec, SIMULATOR,
-    TrainingSpec,
+    CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec,
+    ReposeSpec, SIMULATOR, TrainingSpec,
 };
 
 use bench::Bench;
@@ -61,11 +61,13 @@ use tokio_util::sync::CancellationToken;
 
 /// The heap experiment as called by calibrations: [`heap::repose`] in the product, a formula in
 /// tests.
-pub type Simulate = Arc<dyn Fn(&ParameterSet, &heap::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
+pub type Simulate =
+    Arc<dyn Fn(&ParameterSet, &heap::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
 
 /// The other experiments, reduced: [`observe::observe`](flip_sim::observe::observe) in the
 /// product.
-pub type Observe = Arc<dyn Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync>;
+pub type Observe =
+    Arc<dyn Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync>;
 
 /// The functions that jobs and weighings compute with.
 #[derive(Clone)]
@@ -141,10 +143,15 @@ impl Jobs {
     ///
     /// # Errors
     /// [`store::Error`]
-    pub async fn start(store: Store, functions: Functions, workers: Workers) -> store::Result<Self> {
+    pub async fn start(
+        store: Store,
+        functions: Functions,
+        workers: Workers,
+    ) -> store::Result<Self> {
         queue::migrate(&store).await?;
         let simulated = || bench::Apparatus::without_devices(functions.pour.clone());
-        let bench = Bench::open(store.clone(), functions.bench.clone().unwrap_or_else(simulated)).await?;
+        let bench =
+            Bench::open(store.clone(), functions.bench.clone().unwrap_or_else(simulated)).await?;
         let shared = Arc::new(Shared {
             store,
             functions,

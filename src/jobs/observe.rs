@@ -60,14 +60,17 @@ pub(super) fn channels(
 ) -> Result<Vec<(Channel, u32)>, JobError> {
     let channel = |observation: &Observation| {
         let experiment = observation.observable.experiment();
-        let text = serde_json::to_string(&(simulator, experiment, emulator.hash(), RUNS)).expect("numbers and text");
+        let text = serde_json::to_string(&(simulator, experiment, emulator.hash(), RUNS))
+            .expect("numbers and text");
         let owner = format!("ob-{}", &hex::encode(Sha256::digest(text))[..16]);
         let plan = channel::design(emulator, &INSTRUMENT);
         let what = observation.observable.kind();
-        let (runs, built) = probes(context, &owner, plan, what, simulate(context, observation.observable))?;
+        let (runs, built) =
+            probes(context, &owner, plan, what, simulate(context, observation.observable))?;
         let channel = Channel::of(*observation, &runs, INSTRUMENT);
-        let channel =
-            channel.ok_or_else(|| JobError::Fail(format!("no simulation has a {what}: measure something else")))?;
+        let channel = channel.ok_or_else(|| {
+            JobError::Fail(format!("no simulation has a {what}: measure something else"))
+        })?;
         Ok((channel, built))
     };
     observations.iter().map(channel).collect()
@@ -86,21 +89,28 @@ pub(super) fn look(
         let owner = format!("{}/{position}", context.id());
         let plan = channel::planned(sets, REPEATS, derive(seed, &[position as u64]));
         let what = observation.observable.kind();
-        let (runs, _) = probes(context, &owner, plan, what, simulate(context, observation.observable))?;
+        let (runs, _) =
+            probes(context, &owner, plan, what, simulate(context, observation.observable))?;
         let values = |runs: &[Probe]| -> Vec<f64> {
-            let values = runs.iter().filter_map(|run| Some(channel.value(&run.parameters, run.reduced?)));
+            let values =
+                runs.iter().filter_map(|run| Some(channel.value(&run.parameters, run.reduced?)));
             values.filter(|value| value.is_finite()).collect()
         };
         let of_set = |runs: &[Probe]| {
             let values = values(runs);
-            Simulated { mean: summary::mean(&values), sd: summary::sd(&values), runs: values.len() as u32 }
+            Simulated {
+                mean: summary::mean(&values),
+                sd: summary::sd(&values),
+                runs: values.len() as u32,
+            }
         };
         let simulated: Vec<Simulated> = runs.chunks(REPEATS as usize).map(of_set).collect();
         let means: Vec<f64> = simulated.iter().filter_map(|set| set.mean).collect();
         let mean = summary::mean(&means);
         let error = summary::standard_error(&means).unwrap_or(0.0);
         let allowed = SIGNIFICANT * error.hypot(observation.sd / f64::from(observation.n).sqrt());
-        let agrees = means.len() == sets.len() && mean.is_some_and(|mean| (mean - observation.mean).abs() <= allowed);
+        let agrees = means.len() == sets.len()
+            && mean.is_some_and(|mean| (mean - observation.mean).abs() <= allowed);
         let sha256 = channel.sha256().to_owned();
         Ok(Observed { observation, sha256, built: *built, sets: simulated, mean, agrees })
     };
@@ -125,7 +135,8 @@ fn probes(
     let stored: Vec<Probe> = context.read(context.store.probes(owner))?;
     let mut unsaved = None;
     let runs = channel::carry_out(plan, &stored, what, simulate, |run, progress| {
-        let saved = keep(context, progress, async |tx| tx.insert_probe(owner, run.index, run).await);
+        let saved =
+            keep(context, progress, async |tx| tx.insert_probe(owner, run.index, run).await);
         unless(saved, &mut unsaved, context)
     });
     match (runs, unsaved) {

@@ -38,7 +38,9 @@ pub fn give_way_to_the_bench() {
 pub(super) fn make_pool_give_way() {
     let pool = rayon::ThreadPoolBuilder::new().start_handler(|_| give_way()).build_global();
     if pool.is_err() && !rayon::broadcast(|_| is_nice()).into_iter().all(|nice| nice) {
-        tracing::warn!("the threads that compute began before the service did and keep its priority");
+        tracing::warn!(
+            "the threads that compute began before the service did and keep its priority"
+        );
     }
 }
 

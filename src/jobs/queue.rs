@@ -59,7 +59,8 @@ pub(super) async fn migrate(store: &Store) -> store::Result<()> {
 /// Delivers a job as part of `tx`, once for each fence.
 pub(super) async fn push(tx: &mut Tx, kind: JobKind, lease: &Lease) -> store::Result<()> {
     let delivery = Delivery { job: lease.job.clone(), kind };
-    let args = serde_json::to_vec(&delivery).map_err(|error| store::Error::Corrupt(error.to_string()))?;
+    let args =
+        serde_json::to_vec(&delivery).map_err(|error| store::Error::Corrupt(error.to_string()))?;
     let key = format!("job:{}:{}", lease.job, lease.fence);
     // One attempt: the ledger handles retries.
     let task = TaskBuilder::new(args).idempotency_key(key).max_attempts(1).build();
@@ -76,8 +77,14 @@ pub(super) async fn forget_finished(tx: &mut Tx) -> store::Result<()> {
 /// Removes every delivery. Sound only at start, when no other process can be handling one.
 pub(super) async fn forget_deliveries(store: &Store) -> store::Result<()> {
     let mut tx = store.write().await?;
-    sqlx::query("DELETE FROM Jobs WHERE job_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
-    sqlx::query("DELETE FROM Workers WHERE worker_type = ?1").bind(QUEUE).execute(tx.connection()).await?;
+    sqlx::query("DELETE FROM Jobs WHERE job_type = ?1")
+        .bind(QUEUE)
+        .execute(tx.connection())
+        .await?;
+    sqlx::query("DELETE FROM Workers WHERE worker_type = ?1")
+        .bind(QUEUE)
+        .execute(tx.connection())
+        .await?;
     tx.commit().await
 }
 
@@ -99,8 +106,14 @@ where
     H: Fn(Delivery) -> F + Clone + Send + Sync + 'static,
     F: Future<Output = ()> + Send + 'static,
 {
-    let config = Config::default().queue(QUEUE).batch_size(1).heartbeat_interval(HEARTBEAT).missed_heartbeats(2);
-    let storage = SqliteStorage::<Delivery>::new(store.writer()?).with_config(config).poll_with_interval(POLL);
+    let config = Config::default()
+        .queue(QUEUE)
+        .batch_size(1)
+        .heartbeat_interval(HEARTBEAT)
+        .missed_heartbeats(2);
+    let storage = SqliteStorage::<Delivery>::new(store.writer()?)
+        .with_config(config)
+        .poll_with_interval(POLL);
     let handler = move |delivery: Delivery| {
         let handled = handle(delivery);
         async move {
@@ -108,8 +121,11 @@ where
             Ok::<(), BoxDynError>(())
         }
     };
-    let worker =
-        WorkerBuilder::new(name).backend(storage).layer(ConcurrencyLimitLayer::new(1)).catch_panic().build(handler);
+    let worker = WorkerBuilder::new(name)
+        .backend(storage)
+        .layer(ConcurrencyLimitLayer::new(1))
+        .catch_panic()
+        .build(handler);
     let closed = async move {
         closing.cancelled_owned().await;
         Ok::<(), WorkerError>(())
@@ -124,7 +140,8 @@ pub(super) async fn silence(store: &Store, name: &str) {
     while heard.elapsed() < SILENCE {
         tokio::time::sleep(HEARTBEAT / 2).await;
         let sql = "SELECT last_seen FROM Workers WHERE id = ?1";
-        let now: Option<i64> = sqlx::query_scalar(sql).bind(name).fetch_optional(store.reader()).await.ok().flatten();
+        let now: Option<i64> =
+            sqlx::query_scalar(sql).bind(name).fetch_optional(store.reader()).await.ok().flatten();
         if now != last_seen {
             (heard, last_seen) = (Instant::now(), now);
         }

@@ -39,8 +39,7 @@ pub struct ReposeResult {
 pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), JobError> {
     let bench = context.functions.bench.as_ref().filter(|bench| bench.kind == spec.bench);
     let Some(stand) = bench.and_then(|bench| bench.stand.as_ref()) else {
-        let cause =
-            "this process has another bench than the one it was asked for: start it with that bench, and ask again";
+        let cause = "this process has another bench than the one it was asked for: start it with that bench, and ask again";
         return Err(JobError::Fail(cause.to_owned()));
     };
     let wanted = spec.procedure.repeats;
@@ -54,8 +53,10 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
             return Err(JobError::Fail(without_angle(&piles)));
         }
         if let Some(latch) = context.read(context.store.latch())? {
-            let cause =
-                format!("the bench is latched: {}. Look at it, clear it, and ask for a new measurement", latch.reason);
+            let cause = format!(
+                "the bench is latched: {}. Look at it, clear it, and ask for a new measurement",
+                latch.reason
+            );
             return Err(JobError::Fail(cause));
         }
         if bench.is_some_and(|bench| bench.held.load(Ordering::SeqCst)) {
@@ -64,7 +65,8 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
         }
         let number = piles.len() as u32 + 1;
         let taken = made(context, spec, stand, number, measured.len() as u32);
-        let exchanges = std::mem::take(&mut *stand.exchanges.lock().unwrap_or_else(PoisonError::into_inner));
+        let exchanges =
+            std::mem::take(&mut *stand.exchanges.lock().unwrap_or_else(PoisonError::into_inner));
         let pile = match taken {
             Ok(taken) => Ok(looked_at(spec, number, &taken, context.store.artifacts())?),
             Err(error) => Err(error),
@@ -85,7 +87,9 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
     let source = format!("camera, measurement {}, {} piles", context.id(), piles.len());
     context.succeed(&ReposeResult { repeats, registered }, async |tx| {
         if registered {
-            let made = tx.insert_measurement(&spec.powder, Method::Automated, repeats.tip, &source).await?;
+            let made = tx
+                .insert_measurement(&spec.powder, Method::Automated, repeats.tip, &source)
+                .await?;
             tx.audit_rows(vec![Row::of(RowOf::Measurement, &made.id, &made)]).await?;
         }
         Ok(())
@@ -102,9 +106,11 @@ fn made(
     done: u32,
 ) -> Result<Vec<Upload>, JobError> {
     let seed = derive(u64::from(spec.run), &[u64::from(number)]);
-    let truth = spec.set.map(|set| (context.functions.simulate)(&set, &heap::Settings::default(), seed));
     let truth =
-        truth.transpose().map_err(|error| JobError::Fail(format!("the simulated powder makes no pile: {error}")))?;
+        spec.set.map(|set| (context.functions.simulate)(&set, &heap::Settings::default(), seed));
+    let truth = truth
+        .transpose()
+        .map_err(|error| JobError::Fail(format!("the simulated powder makes no pile: {error}")))?;
     let piling = Piling {
         job: context.id(),
         number,
@@ -123,12 +129,19 @@ fn made(
         (Some(error), _) => Err(error.into()),
         (None, Ok(taken)) => Ok(taken),
         (None, Err(Unpiled::Stopped)) => Err(JobError::Stopped),
-        (None, Err(Unpiled::Failed(cause))) => Err(JobError::Fail(format!("pile {number}: {cause}"))),
+        (None, Err(Unpiled::Failed(cause))) => {
+            Err(JobError::Fail(format!("pile {number}: {cause}")))
+        }
     }
 }
 
 /// Stores the frames, and measures what they show.
-fn looked_at(spec: &ReposeSpec, number: u32, taken: &[Upload], artifacts: &Artifacts) -> store::Result<Pile> {
+fn looked_at(
+    spec: &ReposeSpec,
+    number: u32,
+    taken: &[Upload],
+    artifacts: &Artifacts,
+) -> store::Result<Pile> {
     let kept = |frame: &Upload| {
         Ok(FrameFiles {
             depth: artifacts.put(&frame.depth)?,
@@ -139,7 +152,9 @@ fn looked_at(spec: &ReposeSpec, number: u32, taken: &[Upload], artifacts: &Artif
     let files = taken.iter().map(kept).collect::<store::Result<_>>()?;
     let decoded: Result<Vec<_>, _> = taken.iter().map(Upload::decode).collect();
     let found = match decoded {
-        Ok(frames) => pile::measure(&frames, &spec.rig, &spec.limits).map_err(|refusal| refusal.to_string()),
+        Ok(frames) => {
+            pile::measure(&frames, &spec.rig, &spec.limits).map_err(|refusal| refusal.to_string())
+        }
         Err(error) => Err(error.to_string()),
     };
     let (measured, refusal) = match found {
@@ -150,7 +165,9 @@ fn looked_at(spec: &ReposeSpec, number: u32, taken: &[Upload], artifacts: &Artif
 }
 
 fn without_angle(piles: &[Pile]) -> String {
-    let refusals = piles.iter().filter_map(|pile| Some(format!("pile {}: {}", pile.number, pile.refusal.as_ref()?)));
+    let refusals = piles
+        .iter()
+        .filter_map(|pile| Some(format!("pile {}: {}", pile.number, pile.refusal.as_ref()?)));
     let refusals: Vec<String> = refusals.collect();
     format!("{} of {} piles have no angle: {}", refusals.len(), piles.len(), refusals.join("; "))
 }

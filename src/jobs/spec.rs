@@ -178,7 +178,8 @@ pub struct ReposeSpec {
 impl InvestigationSpec {
     /// Name of the simulator version that this investigation creates if its extension wins.
     pub fn version(&self) -> String {
-        let text = serde_json::to_string(self).expect("specifications hold only finite numbers, text and lists");
+        let text = serde_json::to_string(self)
+            .expect("specifications hold only finite numbers, text and lists");
         format!("sv-{}", &hex::encode(Sha256::digest(&text))[..16])
     }
 }
@@ -198,7 +199,8 @@ impl JobSpec {
     /// Its canonical text and the text's SHA-256. Fields are written in the order of their
     /// definition, so equal values give equal text.
     pub(super) fn canonical(&self) -> (String, Vec<u8>) {
-        let text = serde_json::to_string(self).expect("specifications hold only finite numbers, text and lists");
+        let text = serde_json::to_string(self)
+            .expect("specifications hold only finite numbers, text and lists");
         let sha256 = Sha256::digest(&text).to_vec();
         (text, sha256)
     }

@@ -25,8 +25,12 @@ const TIP_MM: f64 = 5.0;
 ///
 /// # Errors
 /// `spoon.…`: such a spoon is impossible, or the simulator cannot fill it.
-pub fn measured(spoon: &Spoon, usual: dispense::Settings) -> Result<dispense::Settings, FieldError> {
-    let within = |error: FieldError| FieldError::new(format!("spoon.{}", error.field), error.message);
+pub fn measured(
+    spoon: &Spoon,
+    usual: dispense::Settings,
+) -> Result<dispense::Settings, FieldError> {
+    let within =
+        |error: FieldError| FieldError::new(format!("spoon.{}", error.field), error.message);
     simulated(&spoon.checked().map_err(within)?, usual)
 }
 
@@ -35,7 +39,10 @@ pub fn measured(spoon: &Spoon, usual: dispense::Settings) -> Result<dispense::Se
 /// # Errors
 /// `spoon.…`: the simulator cannot fill such a spoon, or the bowl does not hold the stated
 /// capacity.
-pub(super) fn simulated(spoon: &Spoon, usual: dispense::Settings) -> Result<dispense::Settings, FieldError> {
+pub(super) fn simulated(
+    spoon: &Spoon,
+    usual: dispense::Settings,
+) -> Result<dispense::Settings, FieldError> {
     let [a, b, c] = usual.semi_axes_mm;
     let fills = spoon.capacity_mg.map(|mg| mg / capacity_mg(&ParameterSet::default(), &usual));
     let bowl = spoon.bowl_mm().map(|[length, width, depth]| [length / 2.0, width / 2.0, depth]);
@@ -45,18 +52,26 @@ pub(super) fn simulated(spoon: &Spoon, usual: dispense::Settings) -> Result<disp
         && fills > FULL * holds
     {
         let most = FULL * holds * capacity_mg(&ParameterSet::default(), &usual);
-        let message = format!("must be at most {most:.0} mg for a simulated bowl of these measures");
+        let message =
+            format!("must be at most {most:.0} mg for a simulated bowl of these measures");
         return Err(FieldError::new("spoon.capacity_mg", message));
     }
     let grains = f64::from(usual.particles) * fills.or(holds).unwrap_or(1.0);
     if !GRAINS.contains(&grains) {
         let field = if fills.is_some() { "spoon.capacity_mg" } else { "spoon.length_mm" };
         let (least, most) = (GRAINS.start(), GRAINS.end());
-        let message = format!("must be a spoon of {least} to {most} grains to be simulated, this one has {grains:.0}");
+        let message = format!(
+            "must be a spoon of {least} to {most} grains to be simulated, this one has {grains:.0}"
+        );
         return Err(FieldError::new(field, message));
     }
     let vial_offset_mm = usual.vial_offset_mm.max(semi_axes_mm[0] + TIP_MM);
-    Ok(dispense::Settings { particles: grains.round() as u32, semi_axes_mm, vial_offset_mm, ..usual })
+    Ok(dispense::Settings {
+        particles: grains.round() as u32,
+        semi_axes_mm,
+        vial_offset_mm,
+        ..usual
+    })
 }
 
 /// Capacity of a user's own spoon, whichever of these sets is the powder, mg: as measured, or as
@@ -107,13 +122,25 @@ mod tests {
     fn what_cannot_be_simulated_is_refused_by_field_and_weighed_with_all_the_same() {
         let usual = dispense::Settings::default();
         let field = |spoon: Spoon| simulated(&spoon, usual).unwrap_err().field;
-        assert_eq!(field(Spoon { capacity_mg: Some(2000.0), ..Spoon::default() }), "spoon.capacity_mg");
+        assert_eq!(
+            field(Spoon { capacity_mg: Some(2000.0), ..Spoon::default() }),
+            "spoon.capacity_mg"
+        );
         assert_eq!(field(Spoon { capacity_mg: Some(150.0), ..BOWL }), "spoon.capacity_mg");
         assert_eq!(field(Spoon { length_mm: Some(60.0), ..BOWL }), "spoon.length_mm");
         let sets = [ParameterSet::default()];
         let usual_mg = holds_mg(&Spoon::default(), sets.iter()).unwrap();
-        assert!((holds_mg(&BOWL, sets.iter()).unwrap() / usual_mg - (6.5 * 4.5 * 2.5) / 35.0).abs() < 1e-9);
-        assert_eq!(holds_mg(&Spoon { capacity_mg: Some(2000.0), ..BOWL }, sets.iter()), Some(2000.0));
-        assert_eq!(holds_mg(&Spoon { capacity_mg: Some(2000.0), ..BOWL }, std::iter::empty()), None);
+        assert!(
+            (holds_mg(&BOWL, sets.iter()).unwrap() / usual_mg - (6.5 * 4.5 * 2.5) / 35.0).abs()
+                < 1e-9
+        );
+        assert_eq!(
+            holds_mg(&Spoon { capacity_mg: Some(2000.0), ..BOWL }, sets.iter()),
+            Some(2000.0)
+        );
+        assert_eq!(
+            holds_mg(&Spoon { capacity_mg: Some(2000.0), ..BOWL }, std::iter::empty()),
+            None
+        );
     }
 }

@@ -17,7 +17,9 @@ use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-pub use flip_learn::train::{Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings};
+pub use flip_learn::train::{
+    Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings,
+};
 
 /// Parameter sets in a level: the paper's number. The other sets of a calibration are left for
 /// weighings and evaluations.
@@ -27,7 +29,15 @@ const RECENT: usize = 20;
 
 /// A training as called by jobs: [`flip_learn::train::train`] in the product, a formula in tests.
 pub type Train = Arc<
-    dyn Fn(&[Level], &Settings, Start<'_>, &Flow<'_>, &mut Listener<'_>) -> Result<Trained, TrainError> + Send + Sync,
+    dyn Fn(
+            &[Level],
+            &Settings,
+            Start<'_>,
+            &Flow<'_>,
+            &mut Listener<'_>,
+        ) -> Result<Trained, TrainError>
+        + Send
+        + Sync,
 >;
 /// Receives the events of a training; returns `Break` when one could not be recorded.
 pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
@@ -60,21 +70,30 @@ pub struct TrainingResult {
     pub levels: Vec<serde_json::Value>,
 }
 
-pub(super) fn perform(context: &JobContext, spec: &TrainingSpec, checkpoint: Option<&str>) -> Result<(), JobError> {
+pub(super) fn perform(
+    context: &JobContext,
+    spec: &TrainingSpec,
+    checkpoint: Option<&str>,
+) -> Result<(), JobError> {
     let resume = match checkpoint {
         Some(sha256) => saved(context, sha256)?,
         None => None,
     };
-    let mut recorder = Recorder { context, spec, round: Vec::new(), recent: VecDeque::new(), unsaved: None };
+    let mut recorder =
+        Recorder { context, spec, round: Vec::new(), recent: VecDeque::new(), unsaved: None };
     let from = resume.is_none().then(|| predecessor(context, spec)).transpose()?.flatten();
     let start = match (&resume, &from) {
         (Some(bytes), _) => Start::Checkpoint(bytes),
         (None, Some(actor)) => Start::Policy(actor),
         (None, None) => Start::Nothing,
     };
-    let trained = (context.functions.train)(&spec.levels, &spec.settings, start, &|| context.flow(), &mut |event| {
-        recorder.hear(event)
-    });
+    let trained = (context.functions.train)(
+        &spec.levels,
+        &spec.settings,
+        start,
+        &|| context.flow(),
+        &mut |event| recorder.hear(event),
+    );
     recorder.flush();
     match (trained, recorder.unsaved) {
         (_, Some(error)) => Err(error.into()),
@@ -110,7 +129,10 @@ fn predecessor(context: &JobContext, spec: &TrainingSpec) -> Result<Option<Actor
     let Some(from) = &spec.settings.from else { return Ok(None) };
     match load_policy(context, &from.policy)?.controller {
         Controller::Learned(actor) => Ok(Some(actor)),
-        _ => Err(JobError::Fail(format!("from: policy `{}` has no network to go on with", from.policy))),
+        _ => Err(JobError::Fail(format!(
+            "from: policy `{}` has no network to go on with",
+            from.policy
+        ))),
     }
 }
 
@@ -151,7 +173,8 @@ impl Recorder<'_> {
         self.recent.push_back(record.final_error_mg);
         self.round.push(to_row(record));
         let settings = &self.spec.settings;
-        self.round.len() >= settings.episodes_per_round as usize || record.index + 1 == settings.episodes
+        self.round.len() >= settings.episodes_per_round as usize
+            || record.index + 1 == settings.episodes
     }
 
     fn flush(&mut self) {
@@ -196,9 +219,11 @@ impl Recorder<'_> {
 
 fn finish(context: &JobContext, trained: &Trained) -> Result<(), JobError> {
     let id = policy::id(&trained.artifact);
-    let json = |value| serde_json::to_value(value).map_err(|error| JobError::Fail(error.to_string()));
+    let json =
+        |value| serde_json::to_value(value).map_err(|error| JobError::Fail(error.to_string()));
     let levels = json(&trained.levels)?;
-    let manifest = serde_json::to_string(&trained.manifest).map_err(|error| JobError::Fail(error.to_string()))?;
+    let manifest = serde_json::to_string(&trained.manifest)
+        .map_err(|error| JobError::Fail(error.to_string()))?;
     let result = TrainingResult {
         policy: id.clone(),
         episodes: trained.episodes,

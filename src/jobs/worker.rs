@@ -73,7 +73,10 @@ async fn leave_behind(shared: &Shared) {
     let late: Vec<Running> = shared.running().drain().map(|(_, running)| running).collect();
     for Running { lease, stop } in late {
         stop.set(Stop::Fenced);
-        tracing::info!(job = lease.job, "does not stop in time; it goes on at the next start from what it has saved");
+        tracing::info!(
+            job = lease.job,
+            "does not stop in time; it goes on at the next start from what it has saved"
+        );
         let released = async {
             let mut tx = shared.store.write().await?;
             tx.release(&lease).await?;
@@ -81,7 +84,9 @@ async fn leave_behind(shared: &Shared) {
         };
         match released.await {
             Ok(()) | Err(store::Error::Fenced) => {}
-            Err(error) => tracing::warn!(job = lease.job, %error, "was not given back; the next start takes it"),
+            Err(error) => {
+                tracing::warn!(job = lease.job, %error, "was not given back; the next start takes it")
+            }
         }
     }
 }
@@ -101,7 +106,11 @@ async fn handle(shared: Arc<Shared>, owner: String, delivery: Delivery) {
 }
 
 /// Claims the oldest job that waits for a slot of this kind. `None`: there is none.
-async fn claim_oldest(shared: &Shared, owner: &str, kind: JobKind) -> store::Result<Option<Claimed>> {
+async fn claim_oldest(
+    shared: &Shared,
+    owner: &str,
+    kind: JobKind,
+) -> store::Result<Option<Claimed>> {
     let waiting = shared.store.claimable(now()).await?;
     for (_, lease) in waiting.iter().filter(|(waits, _)| shared.lanes.share(*waits, kind)) {
         if let Some(claimed) = claim(shared, owner, &lease.job).await? {
@@ -130,7 +139,10 @@ async fn claim(shared: &Shared, owner: &str, job: &str) -> store::Result<Option<
 /// and its slot when it has ended.
 fn compute(shared: Arc<Shared>, claimed: Claimed, place: Place) {
     let stop = Arc::new(StopFlag::default());
-    shared.running().insert(claimed.lease.job.clone(), Running { lease: claimed.lease.clone(), stop: stop.clone() });
+    shared.running().insert(
+        claimed.lease.job.clone(),
+        Running { lease: claimed.lease.clone(), stop: stop.clone() },
+    );
     // A shutdown between the claim and the line above has not seen the flag.
     if shared.closing.is_cancelled() {
         stop.set(Stop::Shutdown);
@@ -142,9 +154,16 @@ fn compute(shared: Arc<Shared>, claimed: Claimed, place: Place) {
     }
 }
 
-fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, runtime: Handle, place: Place) {
+fn on_compute_thread(
+    shared: &Shared,
+    claimed: Claimed,
+    stop: &Arc<StopFlag>,
+    runtime: Handle,
+    place: Place,
+) {
     let lease = claimed.lease.clone();
-    let renewer = Renewer::start(shared.store.clone(), lease.clone(), stop.clone(), runtime.clone());
+    let renewer =
+        Renewer::start(shared.store.clone(), lease.clone(), stop.clone(), runtime.clone());
     if let Err(error) = &renewer {
         tracing::error!(job = lease.job, %error, "no thread to renew a lease");
     }
@@ -152,10 +171,17 @@ fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, ru
     if shared.gives_way {
         priority::give_way();
     }
-    let context =
-        JobContext::new(shared.store.clone(), shared.functions.clone(), lease.clone(), stop.clone(), runtime.clone());
-    let ended = catch_unwind(AssertUnwindSafe(|| perform(&context, &claimed)))
-        .unwrap_or_else(|panic| Err(JobError::Retry(format!("it panicked: {}", panic_message(&*panic)))));
+    let context = JobContext::new(
+        shared.store.clone(),
+        shared.functions.clone(),
+        lease.clone(),
+        stop.clone(),
+        runtime.clone(),
+    );
+    let ended =
+        catch_unwind(AssertUnwindSafe(|| perform(&context, &claimed))).unwrap_or_else(|panic| {
+            Err(JobError::Retry(format!("it panicked: {}", panic_message(&*panic))))
+        });
     runtime.block_on(settle_surely(shared, &lease, stop, ended));
     shared.running().remove(&lease.job);
     drop(place);
@@ -163,8 +189,9 @@ fn on_compute_thread(shared: &Shared, claimed: Claimed, stop: &Arc<StopFlag>, ru
 }
 
 fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
-    let spec = serde_json::from_str(&claimed.spec)
-        .map_err(|error| JobError::Fail(format!("the specification is of another version: {error}")))?;
+    let spec = serde_json::from_str(&claimed.spec).map_err(|error| {
+        JobError::Fail(format!("the specification is of another version: {error}"))
+    })?;
     tracing::info!(job = context.id(), kind = ?claimed.kind, "computes");
     match spec {
         JobSpec::Calibration(spec) => calibrate::perform(context, &spec),
@@ -176,25 +203,42 @@ fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
 }
 
 /// Records how an attempt ended, however long the database is busy: the lease is renewed meanwhile.
-async fn settle_surely(shared: &Shared, lease: &Lease, stop: &StopFlag, ended: Result<(), JobError>) {
+async fn settle_surely(
+    shared: &Shared,
+    lease: &Lease,
+    stop: &StopFlag,
+    ended: Result<(), JobError>,
+) {
     for _ in 0..SETTLE_TRIES {
         match settle(shared, lease, stop.get(), &ended).await {
             Ok(()) => return,
-            Err(error) => tracing::warn!(job = lease.job, %error, "a job's end was not recorded yet"),
+            Err(error) => {
+                tracing::warn!(job = lease.job, %error, "a job's end was not recorded yet")
+            }
         }
         tokio::time::sleep(SETTLE_PAUSE).await;
     }
-    tracing::error!(job = lease.job, "a job's end was not recorded; it is tried again when its lease has ended");
+    tracing::error!(
+        job = lease.job,
+        "a job's end was not recorded; it is tried again when its lease has ended"
+    );
 }
 
 /// Records how an attempt ended. Success was already recorded by the body, together with its
 /// results.
-async fn settle(shared: &Shared, lease: &Lease, stop: Option<Stop>, ended: &Result<(), JobError>) -> store::Result<()> {
+async fn settle(
+    shared: &Shared,
+    lease: &Lease,
+    stop: Option<Stop>,
+    ended: &Result<(), JobError>,
+) -> store::Result<()> {
     let Err(error) = ended else { return Ok(()) };
     let mut tx = shared.store.write().await?;
     let written = match (error, stop) {
         (_, Some(Stop::Fenced)) => return Ok(()),
-        (JobError::Stopped, Some(Stop::Cancelled)) => tx.end(lease, JobState::Cancelled, None, now()).await,
+        (JobError::Stopped, Some(Stop::Cancelled)) => {
+            tx.end(lease, JobState::Cancelled, None, now()).await
+        }
         (JobError::Stopped, _) => tx.release(lease).await,
         (JobError::Fail(cause), _) => tx.end(lease, JobState::Failed, Some(cause), now()).await,
         (JobError::Retry(cause), _) => tx.retry(lease, cause, now()).await,
@@ -212,5 +256,6 @@ async fn settle(shared: &Shared, lease: &Lease, stop: Option<Stop>, ended: &Resu
 
 pub(super) fn panic_message(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
-    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("without a message")
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("without a message")
 }

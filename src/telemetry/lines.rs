@@ -40,7 +40,10 @@ impl Lines {
     ///
     /// # Errors
     /// The system cannot spawn a thread.
-    pub fn to(out: impl Write + Send + 'static, tell: impl Fn(u64) + Send + 'static) -> io::Result<Self> {
+    pub fn to(
+        out: impl Write + Send + 'static,
+        tell: impl Fn(u64) + Send + 'static,
+    ) -> io::Result<Self> {
         let lines = Self::default();
         let queue = lines.0.clone();
         std::thread::Builder::new().name("log".to_owned()).spawn(move || queue.write(out, tell))?;
@@ -135,7 +138,8 @@ mod tests {
     }
 
     fn gate() -> (Lines, Sender<bool>, Receiver<Vec<u8>>, Receiver<u64>) {
-        let ((let_through, may), (seen, written), (told, dropped)) = (channel(), channel(), channel());
+        let ((let_through, may), (seen, written), (told, dropped)) =
+            (channel(), channel(), channel());
         let lines = Lines::to(Gate { may, seen }, move |lines| told.send(lines).unwrap()).unwrap();
         (lines, let_through, written, dropped)
     }

@@ -49,7 +49,9 @@ pub fn start(format: Format, default: &str) {
     };
     if started.is_ok() {
         // The standard hook blocks on the reader of stderr.
-        std::panic::set_hook(Box::new(|panic| tracing::error!(thread = std::thread::current().name(), "{panic}")));
+        std::panic::set_hook(Box::new(|panic| {
+            tracing::error!(thread = std::thread::current().name(), "{panic}")
+        }));
     }
 }
 

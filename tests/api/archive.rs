@@ -22,9 +22,20 @@ async fn weighed(service: &Service, key: &str) -> String {
 async fn told(service: &Service, ids: &[String]) -> Vec<String> {
     let mut told = Vec::new();
     for id in ids {
-        told.push(service.get(&format!("/v1/weighings/{id}/certificate.html")).await.text().await.unwrap());
-        told.push(service.get(&format!("/v1/audit?weighing={id}&limit=200")).await.text().await.unwrap());
-        told.push(service.get(&format!("/v1/audit.json?weighing={id}")).await.text().await.unwrap());
+        told.push(
+            service
+                .get(&format!("/v1/weighings/{id}/certificate.html"))
+                .await
+                .text()
+                .await
+                .unwrap(),
+        );
+        told.push(
+            service.get(&format!("/v1/audit?weighing={id}&limit=200")).await.text().await.unwrap(),
+        );
+        told.push(
+            service.get(&format!("/v1/audit.json?weighing={id}")).await.text().await.unwrap(),
+        );
     }
     told
 }
@@ -70,7 +81,8 @@ async fn sql(service: &Service, sql: &'static str) {
 async fn an_audit_trail_that_was_archived_reads_as_before_to_the_byte() {
     let service = Service::ready().await;
     let ids = [weighed(&service, "one").await, weighed(&service, "two").await];
-    let (before, records, whole) = (told(&service, &ids).await, all_records(&service).await, verified(&service).await);
+    let (before, records, whole) =
+        (told(&service, &ids).await, all_records(&service).await, verified(&service).await);
     let in_table = rows(&service).await;
     let done = archive(&service).await;
     assert_eq!((done.weighings, done.files.len()), (2, 1), "{done:?}");
@@ -88,7 +100,11 @@ async fn an_audit_trail_that_was_archived_reads_as_before_to_the_byte() {
     }
     // The chain continues, and archived records are not archived again.
     let third = weighed(&service, "three").await;
-    assert_eq!(service.app.archive_audit("2000-01-01").await.unwrap().records, 0, "nothing ended before");
+    assert_eq!(
+        service.app.archive_audit("2000-01-01").await.unwrap().records,
+        0,
+        "nothing ended before"
+    );
     let again = archive(&service).await;
     assert_eq!((again.weighings, verified(&service).await["broken"].clone()), (1, Value::Null));
     assert_eq!(service.get(&format!("/v1/weighings/{third}/certificate.html")).await.status(), 200);
@@ -110,7 +126,10 @@ async fn a_byte_that_was_changed_in_an_archive_is_found_and_a_lost_one_costs_tha
         std::fs::write(&file, changed).unwrap();
         let found = verified(&service).await;
         assert_eq!(found["archives"][0]["file"], json!(lost.files[0]), "byte {at}: {found}");
-        assert!(found["broken"]["why"].as_str().unwrap().contains(&lost.files[0]), "byte {at}: {found}");
+        assert!(
+            found["broken"]["why"].as_str().unwrap().contains(&lost.files[0]),
+            "byte {at}: {found}"
+        );
     }
     std::fs::remove_file(&file).unwrap();
     let found = verified(&service).await;
@@ -118,13 +137,19 @@ async fn a_byte_that_was_changed_in_an_archive_is_found_and_a_lost_one_costs_tha
     assert_eq!((&found["changed"], &found["others"]), (&Value::Null, &Value::Null), "{found}");
     assert_ne!(lost.files, kept.files);
 
-    let certificate =
-        async |id: &str| service.get(&format!("/v1/weighings/{id}/certificate.html")).await.text().await.unwrap();
+    let certificate = async |id: &str| {
+        service.get(&format!("/v1/weighings/{id}/certificate.html")).await.text().await.unwrap()
+    };
     let (damaged, whole) = (certificate(&first).await, certificate(&second).await);
-    assert!(damaged.contains("A part of its record is lost") && damaged.contains(&lost.files[0]), "{damaged}");
+    assert!(
+        damaged.contains("A part of its record is lost") && damaged.contains(&lost.files[0]),
+        "{damaged}"
+    );
     assert!(!whole.contains("is lost"), "{whole}");
-    let page: Value = service.get(&format!("/v1/audit?weighing={first}&limit=200")).await.json().await.unwrap();
-    let kinds: Vec<_> = page["items"].as_array().unwrap().iter().map(|it| it["kind"].as_str().unwrap()).collect();
+    let page: Value =
+        service.get(&format!("/v1/audit?weighing={first}&limit=200")).await.json().await.unwrap();
+    let kinds: Vec<_> =
+        page["items"].as_array().unwrap().iter().map(|it| it["kind"].as_str().unwrap()).collect();
     assert!(["intent", "lost", "outcome"].iter().all(|kind| kinds.contains(kind)), "{kinds:?}");
     assert_eq!(service.get("/v1/audit.json").await.status(), 200);
     // Back in its place it is whole again.
@@ -148,15 +173,25 @@ async fn an_end_between_the_file_and_the_rows_loses_nothing_and_the_next_try_goe
     let ids = [weighed(&service, "one").await];
     let (before, in_table) = (told(&service, &ids).await, rows(&service).await);
     // The transaction that names the file fails, as if the process had ended before it.
-    sql(&service, "CREATE TRIGGER ended BEFORE INSERT ON audit_away BEGIN SELECT RAISE(ABORT, 'ended'); END").await;
+    sql(
+        &service,
+        "CREATE TRIGGER ended BEFORE INSERT ON audit_away BEGIN SELECT RAISE(ABORT, 'ended'); END",
+    )
+    .await;
     assert!(service.app.archive_audit(LATER).await.is_err());
     let files = || std::fs::read_dir(service.folder().join("audit")).unwrap().count();
     assert_eq!((files(), rows(&service).await), (1, in_table));
-    assert_eq!((told(&service, &ids).await, verified(&service).await["broken"].clone()), (before.clone(), Value::Null));
+    assert_eq!(
+        (told(&service, &ids).await, verified(&service).await["broken"].clone()),
+        (before.clone(), Value::Null)
+    );
     sql(&service, "DROP TRIGGER ended").await;
     let done = archive(&service).await;
     assert_eq!((files(), done.weighings), (1, 1), "the same file");
-    assert_eq!((told(&service, &ids).await, verified(&service).await["broken"].clone()), (before, Value::Null));
+    assert_eq!(
+        (told(&service, &ids).await, verified(&service).await["broken"].clone()),
+        (before, Value::Null)
+    );
 }
 
 #[tokio::test]
@@ -164,10 +199,13 @@ async fn records_that_are_in_no_archive_cannot_be_deleted_and_what_was_changed_i
     let service = Service::ready().await;
     weighed(&service, "one").await;
     let pool = database(service.folder()).await;
-    let delete = async || sqlx::query("DELETE FROM audit WHERE kind = 'intent'").execute(&pool).await;
+    let delete =
+        async || sqlx::query("DELETE FROM audit WHERE kind = 'intent'").execute(&pool).await;
     assert!(delete().await.unwrap_err().to_string().contains("only ever added to"));
     sqlx::query("DROP TRIGGER audit_stays").execute(&pool).await.unwrap();
-    let done = sqlx::query("UPDATE audit SET body = replace(body, 'mass_mg', 'mass_g') WHERE kind = 'reading'");
+    let done = sqlx::query(
+        "UPDATE audit SET body = replace(body, 'mass_mg', 'mass_g') WHERE kind = 'reading'",
+    );
     assert!(done.execute(&pool).await.unwrap().rows_affected() > 0);
     let refused = service.app.archive_audit(LATER).await.unwrap_err();
     assert!(format!("{refused:?}").contains("not what was written"), "{refused:?}");
@@ -199,15 +237,22 @@ async fn records_that_the_table_of_archives_gives_to_another_weighing_are_found(
     let pool = database(service.folder()).await;
     sqlx::query("DROP TRIGGER audit_away_stays").execute(&pool).await.unwrap();
     let rename = async |from: &str, to: &str| {
-        let rows = sqlx::query("UPDATE audit_away SET weighing = ?2 WHERE weighing = ?1").bind(from).bind(to);
+        let rows = sqlx::query("UPDATE audit_away SET weighing = ?2 WHERE weighing = ?1")
+            .bind(from)
+            .bind(to);
         assert!(rows.execute(&pool).await.unwrap().rows_affected() > 0);
     };
     rename(&one, &two).await;
     let why = verified(&service).await["broken"]["why"].as_str().unwrap().to_owned();
     assert!(why.contains(&format!("is of {one}, the table of archives says {two}")), "{why}");
-    let page: Value = service.get(&format!("/v1/audit?weighing={two}&limit=200")).await.json().await.unwrap();
+    let page: Value =
+        service.get(&format!("/v1/audit?weighing={two}&limit=200")).await.json().await.unwrap();
     let (kinds, of_one) = (page["items"].as_array().unwrap(), json!(one));
-    assert!(kinds.iter().any(|it| it["kind"] == "lost") && !kinds.iter().any(|it| it["weighing"] == of_one), "{page}");
+    assert!(
+        kinds.iter().any(|it| it["kind"] == "lost")
+            && !kinds.iter().any(|it| it["weighing"] == of_one),
+        "{page}"
+    );
 }
 
 #[tokio::test]
@@ -219,7 +264,12 @@ async fn weighings_that_changed_their_names_in_the_table_of_archives_are_found()
     sqlx::query("DROP TRIGGER audit_away_stays").execute(&pool).await.unwrap();
     let swap = "UPDATE audit_away SET weighing = CASE weighing WHEN ?1 THEN ?2 ELSE ?1 END";
     sqlx::query(swap).bind(one).bind(two).execute(&pool).await.unwrap();
-    assert!(verified(&service).await["broken"]["why"].as_str().unwrap().contains("the table of archives says"));
+    assert!(
+        verified(&service).await["broken"]["why"]
+            .as_str()
+            .unwrap()
+            .contains("the table of archives says")
+    );
 }
 
 #[tokio::test]
@@ -228,22 +278,34 @@ async fn what_the_table_of_archives_says_is_compared_with_the_record_also_where_
     let (one, two) = (weighed(&service, "one").await, weighed(&service, "two").await);
     let done = archive(&service).await;
     let (file, pool) = (file_of(service.folder(), &done), database(service.folder()).await);
-    let added =
-        "INSERT INTO audit_away SELECT 1, 1, weighing, before, hash, archive, start, bytes FROM audit_away LIMIT 1";
+    let added = "INSERT INTO audit_away SELECT 1, 1, weighing, before, hash, archive, start, bytes FROM audit_away LIMIT 1";
     sqlx::query(added).execute(&pool).await.unwrap();
     let found = verified(&service).await;
-    assert!(found["broken"]["why"].as_str().unwrap().contains("names parts that are not in the chain"), "{found}");
-    for sql in
-        ["DROP TRIGGER audit_away_keeps", "DROP TRIGGER audit_away_stays", "DELETE FROM audit_away WHERE first = 1"]
-    {
+    assert!(
+        found["broken"]["why"].as_str().unwrap().contains("names parts that are not in the chain"),
+        "{found}"
+    );
+    for sql in [
+        "DROP TRIGGER audit_away_keeps",
+        "DROP TRIGGER audit_away_stays",
+        "DELETE FROM audit_away WHERE first = 1",
+    ] {
         sqlx::query(sql).execute(&pool).await.unwrap();
     }
     assert_eq!(verified(&service).await["broken"], Value::Null);
     std::fs::remove_file(file).unwrap();
-    let of_two =
-        async || service.get(&format!("/v1/audit.json?weighing={two}")).await.json::<Vec<Value>>().await.unwrap();
+    let of_two = async || {
+        service
+            .get(&format!("/v1/audit.json?weighing={two}"))
+            .await
+            .json::<Vec<Value>>()
+            .await
+            .unwrap()
+    };
     assert!(of_two().await.iter().any(|it| it["kind"] == "lost"));
-    let renamed = sqlx::query("UPDATE audit_away SET weighing = ?2 WHERE weighing = ?1").bind(&two).bind(&one);
+    let renamed = sqlx::query("UPDATE audit_away SET weighing = ?2 WHERE weighing = ?1")
+        .bind(&two)
+        .bind(&one);
     renamed.execute(&pool).await.unwrap();
     let found = verified(&service).await;
     assert!(found["archives"][0]["why"].as_str().unwrap().contains("weighings"), "{found}");
@@ -269,12 +331,14 @@ async fn a_damaged_archive_is_copied_as_it_is_and_named_and_its_other_parts_stil
         let why = made.audit_broken.unwrap();
         assert!(why.contains(&done.files[0]) && !why.contains("No such file"), "{why}");
     }
-    let page: Value = service.get(&format!("/v1/audit?weighing={other}&limit=200")).await.json().await.unwrap();
+    let page: Value =
+        service.get(&format!("/v1/audit?weighing={other}&limit=200")).await.json().await.unwrap();
     assert!(page["items"].as_array().unwrap().iter().all(|it| it["kind"] != "lost"), "{page}");
 }
 
 #[tokio::test]
-async fn of_three_archivings_at_once_one_moves_the_records_and_the_others_say_that_it_is_under_way() {
+async fn of_three_archivings_at_once_one_moves_the_records_and_the_others_say_that_it_is_under_way()
+{
     let service = Service::ready().await;
     weighed(&service, "one").await;
     let one = || service.app.archive_audit(LATER);

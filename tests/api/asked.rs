@@ -47,7 +47,11 @@ impl HeldBack {
         connection.write_all(head.as_bytes()).await.unwrap();
         let mut asked_for = String::new();
         while !asked_for.ends_with("\r\n\r\n") {
-            assert_ne!(connection.read_line(&mut asked_for).await.unwrap(), 0, "{path}: {asked_for}");
+            assert_ne!(
+                connection.read_line(&mut asked_for).await.unwrap(),
+                0,
+                "{path}: {asked_for}"
+            );
         }
         assert!(asked_for.starts_with("HTTP/1.1 100"), "{path}: {asked_for}");
         let (first, last) = body.split_at(body.len() - 2);
@@ -69,7 +73,10 @@ fn problem_kind(answer: &str) -> Option<String> {
     let (head, body) = answer.split_once("\r\n\r\n").expect(answer);
     let carried = head.lines().find_map(|line| line.strip_prefix("flip-problem-bin: "));
     let problem: Value = match carried {
-        Some(base64) => serde_json::from_slice(&STANDARD_NO_PAD.decode(base64.trim_end_matches('=')).unwrap()).unwrap(),
+        Some(base64) => {
+            serde_json::from_slice(&STANDARD_NO_PAD.decode(base64.trim_end_matches('=')).unwrap())
+                .unwrap()
+        }
         None if head.starts_with("HTTP/1.1 200") => return None,
         None => serde_json::from_str(body).expect(answer),
     };
@@ -90,10 +97,16 @@ async fn a_resume_or_a_clear_whose_body_comes_after_a_stop_does_not_undo_it() {
     let token = service.token(Role::Admin).await;
     let by = || "Ada".to_owned();
     let resume = proto::ResumeBenchRequest { by: by(), ..Default::default() };
-    let clear =
-        proto::ClearBenchRequest { by: by(), looked: true, vial_ready: true, resume: true, ..Default::default() };
+    let clear = proto::ClearBenchRequest {
+        by: by(),
+        looked: true,
+        vial_ready: true,
+        resume: true,
+        ..Default::default()
+    };
     let cleared = json!({ "by": "Ada", "looked": true, "vial_ready": true, "resume": true });
-    let resumes = [rest("/v1/bench/resume", &json!({ "by": "Ada" })), grpc("Bench/ResumeBench", &resume)];
+    let resumes =
+        [rest("/v1/bench/resume", &json!({ "by": "Ada" })), grpc("Bench/ResumeBench", &resume)];
     let clears = [rest("/v1/bench/clear", &cleared), grpc("Bench/ClearBench", &clear)];
     for asking in resumes.iter().chain(&clears) {
         service.app.stop_bench().await.unwrap();

@@ -63,7 +63,8 @@ async fn on_loopback_anyone_reads_and_only_roles_write() {
 
 #[tokio::test]
 async fn on_other_addresses_nobody_reads_without_a_token() {
-    let exposed = ServeConfig { insecure_lan: true, ..ServeConfig::loopback("0.0.0.0:0".parse().unwrap()) };
+    let exposed =
+        ServeConfig { insecure_lan: true, ..ServeConfig::loopback("0.0.0.0:0".parse().unwrap()) };
     let service = Service::start_at(exposed).await;
     check_every_operation(&service, false).await;
     problem(service.get("/metrics").await, 401).await;
@@ -77,10 +78,15 @@ async fn tokens_that_are_not_known_are_refused_even_where_none_is_needed() {
     let known = service.token(Role::Admin).await;
     let mut forged = known.clone();
     forged.replace_range(known.len() - 1.., if known.ends_with('A') { "B" } else { "A" });
-    for header in [format!("Bearer {forged}"), "Bearer flip_none".into(), format!("Basic {known}"), known] {
+    for header in
+        [format!("Bearer {forged}"), "Bearer flip_none".into(), format!("Basic {known}"), known]
+    {
         let request = service.request("GET", "/v1/powders").header("authorization", &header);
         let response = request.send().await.unwrap();
-        assert!(response.headers()["www-authenticate"].to_str().unwrap().starts_with("Bearer"), "{header}");
+        assert!(
+            response.headers()["www-authenticate"].to_str().unwrap().starts_with("Bearer"),
+            "{header}"
+        );
         problem(response, 401).await;
     }
 }
@@ -97,12 +103,21 @@ async fn a_page_of_another_origin_cannot_write_even_with_a_token() {
     let service = Service::start().await;
     let token = service.token(Role::Operator).await;
     let new = json!({ "id": "flour", "name": "Flour" });
-    for (name, value) in [("origin", "http://elsewhere.example"), ("sec-fetch-site", "cross-site")] {
-        let request = service.request("POST", "/v1/powders").bearer_auth(&token).header(name, value).json(&new);
+    for (name, value) in [("origin", "http://elsewhere.example"), ("sec-fetch-site", "cross-site")]
+    {
+        let request = service
+            .request("POST", "/v1/powders")
+            .bearer_auth(&token)
+            .header(name, value)
+            .json(&new);
         problem(request.send().await.unwrap(), 403).await;
     }
     let ours = service.url("").trim_end_matches('/').to_owned();
-    let request = service.request("POST", "/v1/powders").bearer_auth(&token).header("origin", ours).json(&new);
+    let request = service
+        .request("POST", "/v1/powders")
+        .bearer_auth(&token)
+        .header("origin", ours)
+        .json(&new);
     assert_eq!(request.send().await.unwrap().status(), 201);
 }
 
@@ -111,10 +126,12 @@ async fn an_admin_makes_a_token_that_works() {
     let service = Service::start().await;
     let admin = service.token(Role::Admin).await;
     let request = service.request("POST", "/v1/tokens").bearer_auth(&admin);
-    let response = request.json(&json!({ "name": "robot", "role": "operator" })).send().await.unwrap();
+    let response =
+        request.json(&json!({ "name": "robot", "role": "operator" })).send().await.unwrap();
     assert_eq!(response.status(), 201);
     let token: serde_json::Value = response.json().await.unwrap();
     let new = json!({ "id": "flour", "name": "Flour" });
-    let request = service.request("POST", "/v1/powders").bearer_auth(token["secret"].as_str().unwrap());
+    let request =
+        service.request("POST", "/v1/powders").bearer_auth(token["secret"].as_str().unwrap());
     assert_eq!(request.json(&new).send().await.unwrap().status(), 201);
 }

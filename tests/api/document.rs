@@ -11,7 +11,8 @@ pub fn operations() -> Vec<(String, String, Value)> {
     let paths = document["paths"].as_object().unwrap().clone();
     let of_path = |(path, item): (String, Value)| {
         let item = item.as_object().unwrap().clone();
-        item.into_iter().map(move |(method, operation)| (method.to_uppercase(), path.clone(), operation))
+        item.into_iter()
+            .map(move |(method, operation)| (method.to_uppercase(), path.clone(), operation))
     };
     paths.into_iter().flat_map(of_path).collect()
 }
@@ -23,7 +24,10 @@ fn the_committed_document_is_the_one_the_code_makes() {
         std::fs::write(COMMITTED, &made).unwrap();
     }
     let committed = std::fs::read_to_string(COMMITTED).unwrap_or_default();
-    assert!(committed == made, "web/openapi.json is out of date: UPDATE=1 cargo test --release --test api document");
+    assert!(
+        committed == made,
+        "web/openapi.json is out of date: UPDATE=1 cargo test --release --test api document"
+    );
 }
 
 #[test]
@@ -34,7 +38,10 @@ fn the_page_has_the_names_that_the_code_has() {
         std::fs::write(file, &made).unwrap();
     }
     let committed = std::fs::read_to_string(file).unwrap_or_default();
-    assert!(committed == made, "web/src/names.json is out of date: UPDATE=1 cargo test --release --test api document");
+    assert!(
+        committed == made,
+        "web/src/names.json is out of date: UPDATE=1 cargo test --release --test api document"
+    );
 }
 
 #[test]
@@ -47,19 +54,27 @@ fn every_operation_says_what_it_does_takes_and_answers() {
         ids.push(operation["operationId"].as_str().unwrap().to_owned());
         let parameters = operation["parameters"].as_array().cloned().unwrap_or_default();
         for placeholder in path.split('{').skip(1).map(|rest| rest.split('}').next().unwrap()) {
-            let described = parameters.iter().any(|p| p["name"] == placeholder && p["in"] == "path");
+            let described =
+                parameters.iter().any(|p| p["name"] == placeholder && p["in"] == "path");
             assert!(described, "{name}: path parameter {placeholder}");
         }
         for parameter in &parameters {
             assert!(parameter["description"].is_string(), "{name}: {}", parameter["name"]);
         }
         let responses = operation["responses"].as_object().unwrap();
-        assert!(responses.keys().any(|status| status.starts_with('2')), "{name}: an answer that is not a refusal");
+        assert!(
+            responses.keys().any(|status| status.starts_with('2')),
+            "{name}: an answer that is not a refusal"
+        );
         for (status, response) in responses.iter().filter(|(status, _)| status.as_str() >= "400") {
             let schema = &response["content"]["application/problem+json"]["schema"]["$ref"];
             assert_eq!(schema, "#/components/schemas/Problem", "{name}: {status}");
         }
-        assert_eq!(method == "GET", operation["security"][0] == serde_json::json!({}), "{name}: security");
+        assert_eq!(
+            method == "GET",
+            operation["security"][0] == serde_json::json!({}),
+            "{name}: security"
+        );
     }
     let count = ids.len();
     ids.sort();

@@ -51,7 +51,10 @@ impl Service {
     async fn start_with(config: ServeConfig, apparatus: Option<Apparatus>) -> Self {
         let data = TempDir::new().unwrap();
         let bench = Bench::default();
-        let options = Options { functions: Functions { bench: apparatus, ..bench.functions() }, ..Options::default() };
+        let options = Options {
+            functions: Functions { bench: apparatus, ..bench.functions() },
+            ..Options::default()
+        };
         let app = App::open(data.path(), options).await.unwrap();
         let server = api::bind(app.clone(), config).unwrap();
         let address = server.address().unwrap();
@@ -94,7 +97,8 @@ impl Service {
 
     /// Requests a weighing, as an operator.
     pub async fn weigh(&self, key: &str, body: &Value) -> Response {
-        let request = self.request("POST", "/v1/weighings").bearer_auth(self.token(Role::Operator).await);
+        let request =
+            self.request("POST", "/v1/weighings").bearer_auth(self.token(Role::Operator).await);
         request.header("idempotency-key", key).json(body).send().await.unwrap()
     }
 
@@ -176,5 +180,8 @@ fn frames(text: &str) -> Vec<Watched> {
             data: serde_json::from_str(&field("data")).unwrap(),
         }
     };
-    text.split("\n\n").filter(|text| !text.is_empty() && !text.starts_with(':')).map(frame).collect()
+    text.split("\n\n")
+        .filter(|text| !text.is_empty() && !text.starts_with(':'))
+        .map(frame)
+        .collect()
 }

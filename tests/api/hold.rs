@@ -41,19 +41,27 @@ async fn a_bench_that_was_stopped_over_one_transport_is_resumed_over_the_other()
     let mut over_grpc = bench.get_bench(proto::GetBenchRequest {}).await.unwrap().into_inner();
     assert!(over_grpc.held.is_some() && over_grpc.exchanges_vials == Some(true));
     let waiting = over_grpc.waiting.remove(0);
-    assert_eq!((waiting.id.as_str(), waiting.vial.as_deref()), (waits["id"].as_str().unwrap(), Some("A7")));
+    assert_eq!(
+        (waiting.id.as_str(), waiting.vial.as_deref()),
+        (waits["id"].as_str().unwrap(), Some("A7"))
+    );
     let nameless = proto::ResumeBenchRequest::default();
     let refused = bench.resume_bench(as_operator(&service, nameless).await).await.unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument);
     let by = proto::ResumeBenchRequest { by: "Ada".into(), note: String::new() };
     let resumed = bench.resume_bench(as_operator(&service, by).await).await.unwrap().into_inner();
     assert!(resumed.held.is_none());
-    service.watch(&format!("/v1/weighings/{}/events", waits["id"].as_str().unwrap()), None).await.unwrap();
+    service
+        .watch(&format!("/v1/weighings/{}/events", waits["id"].as_str().unwrap()), None)
+        .await
+        .unwrap();
     assert_eq!(service.pours(), 1);
-    let refused = problem(post(&service, "/v1/bench/resume", &json!({ "by": "Ada" })).await, 409).await;
+    let refused =
+        problem(post(&service, "/v1/bench/resume", &json!({ "by": "Ada" })).await, 409).await;
     assert_eq!(refused["type"], "urn:flip:problem:bench-not-held");
     bench.stop_bench(as_operator(&service, proto::StopBenchRequest {}).await).await.unwrap();
-    let resumed = post(&service, "/v1/bench/resume", &json!({ "by": "Ada", "note": "looked" })).await;
+    let resumed =
+        post(&service, "/v1/bench/resume", &json!({ "by": "Ada", "note": "looked" })).await;
     assert_eq!(resumed.json::<Value>().await.unwrap()["held"], json!(null));
 }
 
@@ -61,11 +69,15 @@ async fn a_bench_that_was_stopped_over_one_transport_is_resumed_over_the_other()
 async fn a_reservation_keeps_others_out_over_both_transports() {
     let service = Service::ready().await;
     let mut bench = BenchClient::new(channel(&service).await);
-    let answer = post(&service, "/v1/bench/reservation", &json!({ "owner": "Ada", "seconds": 600 })).await;
+    let answer =
+        post(&service, "/v1/bench/reservation", &json!({ "owner": "Ada", "seconds": 600 })).await;
     assert_eq!(answer.status(), 201);
     let reserved: Value = answer.json().await.unwrap();
     let id = reserved["id"].as_str().unwrap();
-    assert_eq!(problem(service.weigh("other", &salt()).await, 409).await["type"], "urn:flip:problem:bench-reserved");
+    assert_eq!(
+        problem(service.weigh("other", &salt()).await, 409).await["type"],
+        "urn:flip:problem:bench-reserved"
+    );
     let request = proto::ReserveBenchRequest { owner: "Bob".into(), seconds: 60, id: None };
     let refused = bench.reserve_bench(as_operator(&service, request).await).await.unwrap_err();
     assert_eq!(problem_of(&refused)["type"], "urn:flip:problem:bench-reserved");
@@ -73,8 +85,12 @@ async fn a_reservation_keeps_others_out_over_both_transports() {
     own["reservation"] = json!(id);
     assert_eq!(service.weigh("own", &own).await.status(), 202);
     let path = format!("/v1/bench/reservation/{id}");
-    let release =
-        service.request("DELETE", &path).bearer_auth(service.token(Role::Operator).await).send().await.unwrap();
+    let release = service
+        .request("DELETE", &path)
+        .bearer_auth(service.token(Role::Operator).await)
+        .send()
+        .await
+        .unwrap();
     assert_eq!(
         (release.status().as_u16(), &release.json::<Value>().await.unwrap()["reservation"]),
         (200, &json!(null))
@@ -92,10 +108,13 @@ async fn a_vial_is_asked_for_only_where_it_is_the_weighings_turn() {
     let waits: Value = service.weigh("waits", &salt()).await.json().await.unwrap();
     let id = waits["id"].as_str().unwrap().to_owned();
     // This bench exchanges vials: nothing waits for one.
-    let refused = problem(post(&service, &format!("/v1/weighings/{id}/vial-ready"), &json!({})).await, 409).await;
+    let refused =
+        problem(post(&service, &format!("/v1/weighings/{id}/vial-ready"), &json!({})).await, 409)
+            .await;
     assert_eq!(refused["type"], "urn:flip:problem:not-its-turn");
     let request = proto::VialReadyRequest { id, by: None, vial: None };
     let refused = weighings.vial_ready(as_operator(&service, request).await).await.unwrap_err();
     assert_eq!(problem_of(&refused)["type"], "urn:flip:problem:not-its-turn");
-    problem(post(&service, "/v1/weighings/none/vial-ready", &json!({ "by": "Ada" })).await, 404).await;
+    problem(post(&service, "/v1/weighings/none/vial-ready", &json!({ "by": "Ada" })).await, 404)
+        .await;
 }

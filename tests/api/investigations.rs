@@ -30,10 +30,12 @@ pub async fn as_operator<T>(service: &Service, message: T) -> Request<T> {
 /// Twelve days, each with its own humidity, three runs each of salt and sugar, which pile steeper
 /// in damp air: 5 deg from 30 to 70 %, repeats of 1 deg.
 pub fn humid_campaign() -> String {
-    let mut text = String::from("powder,repose_deg,session,relative_humidity_pct,operator,remark\n");
+    let mut text =
+        String::from("powder,repose_deg,session,relative_humidity_pct,operator,remark\n");
     let mut state = 1_u64;
     let mut uniform = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 11) as f64 / (1_u64 << 53) as f64
     };
     for day in 1..=12 {
@@ -71,22 +73,35 @@ async fn a_campaign_is_judged_and_the_same_campaign_is_the_same_job() {
     let location = started.headers()["location"].to_str().unwrap().to_owned();
     let job: Value = started.json().await.unwrap();
     let id = job["id"].as_str().unwrap();
-    assert_eq!((job["kind"].as_str(), location.as_str()), (Some("investigation"), &*format!("{PATH}/{id}")));
+    assert_eq!(
+        (job["kind"].as_str(), location.as_str()),
+        (Some("investigation"), &*format!("{PATH}/{id}"))
+    );
 
     let found = finished(&service, id).await;
     assert_eq!(
         (&found["powders"], &found["runs"], &found["sessions"]),
         (&json!(["salt", "sugar"]), &json!(72), &json!(12))
     );
-    assert_eq!(found["covariates"], json!(["relative_humidity_pct", "operator"]), "a remark to each run says nothing");
+    assert_eq!(
+        found["covariates"],
+        json!(["relative_humidity_pct", "operator"]),
+        "a remark to each run says nothing"
+    );
     let report = &found["report"];
     assert!(found["p_value"].as_f64().unwrap() <= 0.02, "{}", found["p_value"]);
     for name in ["verdict", "p_value", "sentence"] {
         assert_eq!(found[name], report[name], "{name}");
     }
-    assert_eq!((&report["schema_version"], &report["null_check"]["campaigns"]), (&json!(1), &json!(99)));
+    assert_eq!(
+        (&report["schema_version"], &report["null_check"]["campaigns"]),
+        (&json!(1), &json!(99))
+    );
     assert_eq!(report["simulator_version"]["base"], found["simulator"]);
-    assert_eq!((&report["verdict"], &report["causes"][0]["mechanism"]), (&json!("cause"), &json!("humidity")));
+    assert_eq!(
+        (&report["verdict"], &report["causes"][0]["mechanism"]),
+        (&json!("cause"), &json!("humidity"))
+    );
     let sentence = report["sentence"].as_str().unwrap();
     // Each named powder has its own effect next to its name.
     assert!(sentence.starts_with("Humidity makes salt and sugar pile steeper"), "{sentence}");
@@ -101,21 +116,35 @@ async fn a_campaign_is_judged_and_the_same_campaign_is_the_same_job() {
     assert_eq!(predicted.headers()["content-type"], "text/csv; charset=utf-8");
     let predicted = predicted.text().await.unwrap();
     let lines: Vec<&str> = predicted.lines().collect();
-    assert_eq!((lines.len(), lines[0]), (73, "row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg"));
+    assert_eq!(
+        (lines.len(), lines[0]),
+        (73, "row,powder,before_deg,before_sd_deg,after_deg,after_sd_deg")
+    );
     assert!(lines[1].starts_with("2,salt,3") && lines[72].starts_with("73,sugar,3"), "{predicted}");
 
     let again = post(&service, &body).await;
     assert_eq!(again.status(), 200);
     assert_eq!(again.json::<Value>().await.unwrap()["id"], job["id"]);
-    let other = post(&service, &json!({ "measurements_csv": humid_campaign(), "simulations": 99, "seed": 2 })).await;
+    let other = post(
+        &service,
+        &json!({ "measurements_csv": humid_campaign(), "simulations": 99, "seed": 2 }),
+    )
+    .await;
     assert_eq!(other.status(), 202, "of another seed");
     finished(&service, other.json::<Value>().await.unwrap()["id"].as_str().unwrap()).await;
     let list = get(&service, PATH).await;
     let items = list["items"].as_array().unwrap();
     let seeds: Vec<_> = items.iter().map(|item| (&item["seed"], &item["report"])).collect();
-    assert_eq!(seeds, [(&json!(2), &Value::Null), (&json!(1), &Value::Null)], "newest first, without their reports");
+    assert_eq!(
+        seeds,
+        [(&json!(2), &Value::Null), (&json!(1), &Value::Null)],
+        "newest first, without their reports"
+    );
     assert_eq!(items[1]["verdict"], found["verdict"]);
-    assert_eq!(get(&service, "/v1/jobs?kind=investigation").await["items"].as_array().unwrap().len(), 2);
+    assert_eq!(
+        get(&service, "/v1/jobs?kind=investigation").await["items"].as_array().unwrap().len(),
+        2
+    );
 }
 
 #[tokio::test]
@@ -141,7 +170,8 @@ fn weighings() -> String {
         let load = f64::from(shake) * (1.4 + 0.03 * f64::from((weighing * 5 + shake * 3) % 13));
         format!("w{weighing},{},{:.2},{shake},salt\n", k % 36, load + noise)
     };
-    "weighing_id,t_s,balance_mg,shake_index,powder\n".to_owned() + &(0..360).map(reading).collect::<String>()
+    "weighing_id,t_s,balance_mg,shake_index,powder\n".to_owned()
+        + &(0..360).map(reading).collect::<String>()
 }
 
 #[tokio::test]
@@ -156,32 +186,56 @@ async fn balance_readings_are_judged_alone_and_beside_angles() {
     let both =
         start(&json!({ "measurements_csv": humid_campaign(), "traces_csv": weighings(), "simulations": 99 })).await;
     let mut client = InvestigationsClient::connect(service.url("")).await.unwrap();
-    let request =
-        proto::StartInvestigationRequest { traces_csv: Some(weighings()), simulations: Some(99), ..Default::default() };
-    let again = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
-    assert_eq!((again.created, again.job.unwrap().id), (false, alone.clone()), "the same over gRPC is the same job");
+    let request = proto::StartInvestigationRequest {
+        traces_csv: Some(weighings()),
+        simulations: Some(99),
+        ..Default::default()
+    };
+    let again = client
+        .start_investigation(as_operator(&service, request).await)
+        .await
+        .unwrap()
+        .into_inner();
+    assert_eq!(
+        (again.created, again.job.unwrap().id),
+        (false, alone.clone()),
+        "the same over gRPC is the same job"
+    );
 
     let found = finished(&service, &alone).await;
-    assert_eq!((&found["powders"], &found["runs"], &found["weighings"]), (&json!(["salt"]), &json!(0), &json!(10)));
+    assert_eq!(
+        (&found["powders"], &found["runs"], &found["weighings"]),
+        (&json!(["salt"]), &json!(0), &json!(10))
+    );
     let report = &found["report"];
     assert_eq!((&report["rows"], &report["findings"]), (&json!([]), &json!([])), "{report}");
     assert_eq!(report["traces"]["shakes"], json!(50));
     assert_eq!(report["p_value"], report["traces"]["p_value"], "one channel needs no correction");
-    let untestable = report["untestable"].as_array().unwrap().iter().find(|it| it["mechanism"] == "vibration_noise");
+    let untestable = report["untestable"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|it| it["mechanism"] == "vibration_noise");
     assert_eq!(untestable.unwrap()["reason"], "vibration_rms_m_s2 was not recorded");
 
     let found = finished(&service, &both).await;
     let report = &found["report"];
     assert_eq!(report["findings"][0]["channel"], "repose");
-    assert_eq!((&report["traces"]["verdict"], &report["verdict"]), (&json!("no_discrepancy"), &json!("cause")));
+    assert_eq!(
+        (&report["traces"]["verdict"], &report["verdict"]),
+        (&json!("no_discrepancy"), &json!("cause"))
+    );
     // Of 100 sets each, the strongest of one: twice 0.01.
     assert_eq!(report["p_value"], json!(0.02));
-    let named = |list: &str, key: &str, name: &str| report[list].as_array().unwrap().iter().any(|it| it[key] == name);
+    let named = |list: &str, key: &str, name: &str| {
+        report[list].as_array().unwrap().iter().any(|it| it[key] == name)
+    };
     assert!(named("evidence", "cause", "balance_drift") && named("evidence", "cause", "humidity"));
     assert!(!named("causes", "mechanism", "balance_drift"), "nothing is wrong with the balance");
     let sentence = report["sentence"].as_str().unwrap();
     assert!(
-        sentence.starts_with("Humidity makes") && sentence.contains("Balance readings show no discrepancy"),
+        sentence.starts_with("Humidity makes")
+            && sentence.contains("Balance readings show no discrepancy"),
         "{sentence}"
     );
     // The version made from the angles requires the condition the angles depart with, and none of
@@ -206,8 +260,14 @@ async fn a_bad_campaign_is_refused_by_row_and_column_and_stores_nothing() {
     let few: String = humid.lines().take(13).map(|line| format!("{line}\n")).collect();
     for (body, named) in [
         (json!({ "measurements_csv": "powder,angle\nsalt,36\n" }), &["repose_deg"] as &[&str]),
-        (json!({ "measurements_csv": humid.replacen("salt,3", "salt,x3", 1) }), &["row[2].repose_deg"]),
-        (json!({ "measurements_csv": humid.replacen("salt,3", "salt,93", 1) }), &["row[2].repose_deg"]),
+        (
+            json!({ "measurements_csv": humid.replacen("salt,3", "salt,x3", 1) }),
+            &["row[2].repose_deg"],
+        ),
+        (
+            json!({ "measurements_csv": humid.replacen("salt,3", "salt,93", 1) }),
+            &["row[2].repose_deg"],
+        ),
         (json!({ "measurements_csv": humid.replacen(",Ada,", ",Ada,,", 1) }), &["row["]),
         (json!({ "measurements_csv": few }), &["measurements"]),
         (json!({ "measurements_csv": humid, "simulations": 98 }), &["simulations"]),
@@ -215,13 +275,19 @@ async fn a_bad_campaign_is_refused_by_row_and_column_and_stores_nothing() {
         (json!({ "seed": -1 }), &["seed"]),
         (json!({ "traces": "" }), &["traces"]),
         (json!({ "traces_csv": "" }), &["traces.weighing_id", "traces.t_s", "traces.balance_mg"]),
-        (json!({ "traces_csv": "weighing_id,t_s,balance_mg\nw,0,1\nw,-1,2\n" }), &["traces.row[3].t_s"]),
-        (json!({ "measurements_csv": humid, "traces_csv": "weighing_id,t_s,balance_mg\nw,0,1\n" }), &["traces"]),
+        (
+            json!({ "traces_csv": "weighing_id,t_s,balance_mg\nw,0,1\nw,-1,2\n" }),
+            &["traces.row[3].t_s"],
+        ),
+        (
+            json!({ "measurements_csv": humid, "traces_csv": "weighing_id,t_s,balance_mg\nw,0,1\n" }),
+            &["traces"],
+        ),
     ] {
         let problem = problem(post(&service, &body).await, 400).await;
         let fields = fields(&problem);
-        let right =
-            fields.len() == named.len() && fields.iter().zip(named).all(|(field, name)| field.starts_with(name));
+        let right = fields.len() == named.len()
+            && fields.iter().zip(named).all(|(field, name)| field.starts_with(name));
         assert!(right, "{named:?}: {problem}");
     }
     problem(service.request("POST", PATH).json(&json!({})).send().await.unwrap(), 401).await;
@@ -241,10 +307,15 @@ async fn an_investigation_is_the_same_over_grpc() {
         simulations: Some(99),
         ..Default::default()
     };
-    let started = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
+    let started = client
+        .start_investigation(as_operator(&service, request).await)
+        .await
+        .unwrap()
+        .into_inner();
     let job = started.job.unwrap();
     assert_eq!((started.created, job.kind()), (true, proto::JobKind::Investigation));
-    let again = post(&service, &json!({ "measurements_csv": csv, "simulations": 99, "seed": 1 })).await;
+    let again =
+        post(&service, &json!({ "measurements_csv": csv, "simulations": 99, "seed": 1 })).await;
     assert_eq!(again.status(), 200, "the same over REST is the same job");
 
     let rest = finished(&service, &job.id).await;
@@ -262,15 +333,27 @@ async fn an_investigation_is_the_same_over_grpc() {
     for (name, value) in of_grpc.as_object().unwrap() {
         assert_eq!(value, &rest[name], "{name}");
     }
-    let list = client.list_investigations(proto::ListInvestigationsRequest { page: None }).await.unwrap().into_inner();
-    assert_eq!(list.items.iter().map(|item| (item.seed, item.report_json.is_some())).collect::<Vec<_>>(), [(1, false)]);
+    let list = client
+        .list_investigations(proto::ListInvestigationsRequest { page: None })
+        .await
+        .unwrap()
+        .into_inner();
+    assert_eq!(
+        list.items.iter().map(|item| (item.seed, item.report_json.is_some())).collect::<Vec<_>>(),
+        [(1, false)]
+    );
 
-    let bad =
-        proto::StartInvestigationRequest { measurements_csv: Some("powder\nsalt\n".into()), ..Default::default() };
+    let bad = proto::StartInvestigationRequest {
+        measurements_csv: Some("powder\nsalt\n".into()),
+        ..Default::default()
+    };
     let status = client.start_investigation(as_operator(&service, bad).await).await.unwrap_err();
     assert_eq!(status.code(), Code::InvalidArgument);
     assert!(status.message().contains("repose_deg"), "{status}");
-    let none = client.get_investigation(proto::GetInvestigationRequest { id: "none".into() }).await.unwrap_err();
+    let none = client
+        .get_investigation(proto::GetInvestigationRequest { id: "none".into() })
+        .await
+        .unwrap_err();
     assert_eq!(none.code(), Code::NotFound);
 }
 
@@ -278,7 +361,10 @@ async fn an_investigation_is_the_same_over_grpc() {
 async fn an_extension_that_wins_is_a_version_that_predicts_and_the_report_is_a_page() {
     let service = Service::start().await;
     let body = json!({ "measurements_csv": humid_campaign(), "simulations": 99 });
-    let id = post(&service, &body).await.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned();
+    let id = post(&service, &body).await.json::<Value>().await.unwrap()["id"]
+        .as_str()
+        .unwrap()
+        .to_owned();
     let found = finished(&service, &id).await;
     let version = found["report"]["simulator_version"]["extended"].as_str().unwrap().to_owned();
     let listed = get(&service, "/v1/simulators").await;
@@ -292,7 +378,8 @@ async fn an_extension_that_wins_is_a_version_that_predicts_and_the_report_is_a_p
 
     let path = format!("/v1/simulators/{version}/predictions");
     let ask = async |csv: &str| {
-        let request = service.request("POST", &path).bearer_auth(service.token(Role::Operator).await);
+        let request =
+            service.request("POST", &path).bearer_auth(service.token(Role::Operator).await);
         request.json(&json!({ "measurements_csv": csv })).send().await.unwrap()
     };
     let answer = ask("powder,relative_humidity_pct\nsalt,32\nsalt,68\nlactose,68\n").await;
@@ -300,7 +387,10 @@ async fn an_extension_that_wins_is_a_version_that_predicts_and_the_report_is_a_p
     let rows: Vec<Vec<&str>> = text.lines().skip(1).map(|line| line.split(',').collect()).collect();
     let number = |row: usize, column: usize| rows[row][column].parse::<f64>().unwrap();
     assert_eq!((rows.len(), rows[0][0], rows[2][1]), (3, "2", "lactose"));
-    assert!((number(0, 2) - number(1, 2)).abs() < 1e-9, "as it was, the simulator knows one angle of salt: {text}");
+    assert!(
+        (number(0, 2) - number(1, 2)).abs() < 1e-9,
+        "as it was, the simulator knows one angle of salt: {text}"
+    );
     assert!(number(1, 4) - number(0, 4) > 2.5, "{text}");
     assert_eq!(rows[2][2], "", "nothing is known of lactose: {text}");
     let refused = problem(ask("powder\nsalt\n").await, 400).await;
@@ -311,7 +401,11 @@ async fn an_extension_that_wins_is_a_version_that_predicts_and_the_report_is_a_p
     let policy = page.headers()["content-security-policy"].to_str().unwrap().to_owned();
     assert!(policy.starts_with("default-src 'none'; style-src 'unsafe-inline'"), "{policy}");
     let page = page.text().await.unwrap();
-    assert!(page.contains("Humidity makes ") && page.contains(" pile steeper") && !page.contains("<script"));
+    assert!(
+        page.contains("Humidity makes ")
+            && page.contains(" pile steeper")
+            && !page.contains("<script")
+    );
 }
 
 /// 200 weighings of ten shakes, ten readings each: 20000 rows, more than a megabyte.
@@ -345,14 +439,23 @@ async fn twenty_thousand_readings_are_taken_over_rest_and_grpc_alike() {
         simulations: Some(99),
         ..Default::default()
     };
-    let again = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
+    let again = client
+        .start_investigation(as_operator(&service, request).await)
+        .await
+        .unwrap()
+        .into_inner();
     assert_eq!(
         (again.created, again.job.unwrap().id.as_str()),
         (false, job["id"].as_str().unwrap()),
         "with semicolons"
     );
     let path = format!("/v1/jobs/{}/cancel", job["id"].as_str().unwrap());
-    let cancel = service.request("POST", &path).bearer_auth(service.token(Role::Operator).await).send().await.unwrap();
+    let cancel = service
+        .request("POST", &path)
+        .bearer_auth(service.token(Role::Operator).await)
+        .send()
+        .await
+        .unwrap();
     assert!(cancel.status().is_success());
     let one_more = format!("{}\r\nweighing-9999,0,0,0,salt,ST\r\n", many_weighings().trim_end());
     let refused = problem(post(&service, &json!({ "traces_csv": one_more })).await, 400).await;
@@ -375,7 +478,9 @@ async fn how_a_file_was_read_is_in_the_report_and_a_day_that_may_be_two_is_asked
         *line = cells.join(",");
     }
     let csv = lines.join("\n");
-    let asked = problem(post(&service, &json!({ "measurements_csv": csv, "simulations": 99 })).await, 400).await;
+    let asked =
+        problem(post(&service, &json!({ "measurements_csv": csv, "simulations": 99 })).await, 400)
+            .await;
     assert_eq!(fields(&asked), ["row[2].session"]);
     assert!(asked.to_string().contains("`dates`"), "{asked}");
     let body = json!({ "measurements_csv": csv, "simulations": 99, "dates": "month_first" });
@@ -383,7 +488,9 @@ async fn how_a_file_was_read_is_in_the_report_and_a_day_that_may_be_two_is_asked
     let found = finished(&service, started["id"].as_str().unwrap()).await;
     let read = &found["report"]["files"][0];
     assert_eq!((&read["file"], &read["rows"]), (&json!("measurements"), &json!(72)));
-    let of = |name: &str| read["columns"].as_array().unwrap().iter().find(|it| it["column"] == name).unwrap().clone();
+    let of = |name: &str| {
+        read["columns"].as_array().unwrap().iter().find(|it| it["column"] == name).unwrap().clone()
+    };
     assert_eq!(of("session")["note"], "12 days, 2026-03-01 to 2026-03-12");
     let humidity = of("relative_humidity_pct");
     assert_eq!(
@@ -395,13 +502,27 @@ async fn how_a_file_was_read_is_in_the_report_and_a_day_that_may_be_two_is_asked
         "one missing cell loses no column"
     );
     assert_eq!(of("remark")["taken_as"], "nothing");
-    let page =
-        service.get(&format!("{PATH}/{}/report.html", started["id"].as_str().unwrap())).await.text().await.unwrap();
-    assert!(page.contains("How the data were read") && page.contains("12 days, 2026-03-01 to 2026-03-12"));
+    let page = service
+        .get(&format!("{PATH}/{}/report.html", started["id"].as_str().unwrap()))
+        .await
+        .text()
+        .await
+        .unwrap();
+    assert!(
+        page.contains("How the data were read")
+            && page.contains("12 days, 2026-03-01 to 2026-03-12")
+    );
     let mut client = InvestigationsClient::connect(service.url("")).await.unwrap();
-    let mut request =
-        proto::StartInvestigationRequest { measurements_csv: Some(csv), simulations: Some(99), ..Default::default() };
+    let mut request = proto::StartInvestigationRequest {
+        measurements_csv: Some(csv),
+        simulations: Some(99),
+        ..Default::default()
+    };
     request.set_dates(proto::DateOrder::MonthFirst);
-    let again = client.start_investigation(as_operator(&service, request).await).await.unwrap().into_inner();
+    let again = client
+        .start_investigation(as_operator(&service, request).await)
+        .await
+        .unwrap()
+        .into_inner();
     assert!(!again.created, "the same over gRPC is the same job");
 }

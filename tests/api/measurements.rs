@@ -25,7 +25,8 @@ async fn created(service: &Service, path: &str, body: &Value) -> Value {
 
 async fn import(service: &Service, query: &str, csv: impl Into<reqwest::Body>) -> Response {
     let request = service.request("POST", &format!("/v1/measurements/import{query}"));
-    let request = request.bearer_auth(service.token(Role::Operator).await).header("content-type", "text/csv");
+    let request =
+        request.bearer_auth(service.token(Role::Operator).await).header("content-type", "text/csv");
     request.body(csv).send().await.unwrap()
 }
 
@@ -42,7 +43,12 @@ async fn a_measurement_is_given_as_a_mean_as_repeats_or_as_heaps() {
         // A single value: its spread is unknown.
         (json!({ "method": "manual", "repose_deg": 33.5 }), 33.5, 0.0, 1),
         (json!({ "method": "manual", "repose_deg": 33.5, "n": 1 }), 33.5, 0.0, 1),
-        (json!({ "method": "manual", "heights_mm": [20, 20], "base_diameters_mm": [40] }), 45.0, 0.0, 2),
+        (
+            json!({ "method": "manual", "heights_mm": [20, 20], "base_diameters_mm": [40] }),
+            45.0,
+            0.0,
+            2,
+        ),
         (
             json!({ "method": "manual", "heights_mm": [20, 50], "base_diameters_mm": [40, 100], "funnel_height_mm": 50 }),
             45.0,
@@ -51,7 +57,10 @@ async fn a_measurement_is_given_as_a_mean_as_repeats_or_as_heaps() {
         ),
     ] {
         let measured = created(&service, MEASUREMENTS, &body).await;
-        assert!((measured["repose_deg"].as_f64().unwrap() - angle).abs() < 1e-9, "{body}: {measured}");
+        assert!(
+            (measured["repose_deg"].as_f64().unwrap() - angle).abs() < 1e-9,
+            "{body}: {measured}"
+        );
         assert!((measured["sd_deg"].as_f64().unwrap() - sd).abs() < 1e-9, "{body}: {measured}");
         assert_eq!(measured["n"], n, "{body}");
     }
@@ -61,7 +70,8 @@ async fn a_measurement_is_given_as_a_mean_as_repeats_or_as_heaps() {
 async fn a_bad_measurement_is_refused_by_field_and_stores_nothing() {
     let service = Service::start().await;
     let before = count(&service, MEASUREMENTS).await;
-    let heaps = |heights: Value, bases: Value| json!({ "heights_mm": heights, "base_diameters_mm": bases });
+    let heaps =
+        |heights: Value, bases: Value| json!({ "heights_mm": heights, "base_diameters_mm": bases });
     for (body, field) in [
         (json!({}), "repose_deg"),
         (json!({ "sd_deg": 1, "n": 5 }), "repose_deg"),
@@ -71,7 +81,10 @@ async fn a_bad_measurement_is_refused_by_field_and_stores_nothing() {
         (json!({ "repose_deg": 30, "sd_deg": 1, "n": 0 }), "n"),
         (json!({ "repose_deg": 86, "sd_deg": 1, "n": 5 }), "repose_deg"),
         (json!({ "repose_deg": 30, "sd_deg": 1, "n": 1, "repeats_deg": [30] }), "repose_deg"),
-        (json!({ "repose_deg": 30, "sd_deg": 1, "n": 1, "funnel_height_mm": 30 }), "funnel_height_mm"),
+        (
+            json!({ "repose_deg": 30, "sd_deg": 1, "n": 1, "funnel_height_mm": 30 }),
+            "funnel_height_mm",
+        ),
         (json!({ "repeats_deg": [30], "n": 1 }), "n"),
         (json!({ "repeats_deg": [] }), "repeats_deg"),
         (json!({ "repeats_deg": vec![30; 10_001] }), "repeats_deg"),
@@ -82,8 +95,14 @@ async fn a_bad_measurement_is_refused_by_field_and_stores_nothing() {
         (heaps(json!([20, 20, 20]), json!([40, 40])), "base_diameters_mm"),
         (heaps(json!([20]), json!([-40])), "base_diameters_mm[0]"),
         (heaps(json!([20, 300]), json!([40])), "heights_mm[1]"),
-        (json!({ "heights_mm": [20], "base_diameters_mm": [40], "funnel_height_mm": 15 }), "heights_mm[0]"),
-        (json!({ "heights_mm": [20], "base_diameters_mm": [40], "repeats_deg": [45] }), "repeats_deg"),
+        (
+            json!({ "heights_mm": [20], "base_diameters_mm": [40], "funnel_height_mm": 15 }),
+            "heights_mm[0]",
+        ),
+        (
+            json!({ "heights_mm": [20], "base_diameters_mm": [40], "repeats_deg": [45] }),
+            "repeats_deg",
+        ),
         (json!({ "repeats_deg": [30], "source": "x".repeat(501) }), "source"),
     ] {
         let mut body = body;
@@ -101,15 +120,20 @@ async fn the_newest_observation_of_an_equal_experiment_counts() {
     let drained = json!({ "observable": { "kind": "drained_angle" }, "mean": 38, "sd": 1, "n": 3, "source": "cup 2" });
     for body in [shake(30, 3.0), drained, shake(20, 1.0), shake(30, 4.0)] {
         let stored = created(&service, OBSERVATIONS, &body).await;
-        assert_eq!((&stored["powder"], &stored["mean"].as_f64()), (&json!("salt"), &body["mean"].as_f64()));
+        assert_eq!(
+            (&stored["powder"], &stored["mean"].as_f64()),
+            (&json!("salt"), &body["mean"].as_f64())
+        );
     }
     assert_eq!(count(&service, OBSERVATIONS).await, 4);
     let first: Value = service.get(&format!("{OBSERVATIONS}?limit=1")).await.json().await.unwrap();
     assert_eq!((&first["items"][0]["mean"], first["next"].is_string()), (&json!(3.0), true));
     let detail: Value = service.get("/v1/powders/salt").await.json().await.unwrap();
     let now = detail["observations"].as_array().unwrap();
-    let known: Vec<_> =
-        now.iter().map(|o| (o["observable"]["kind"].as_str().unwrap(), o["mean"].as_f64().unwrap())).collect();
+    let known: Vec<_> = now
+        .iter()
+        .map(|o| (o["observable"]["kind"].as_str().unwrap(), o["mean"].as_f64().unwrap()))
+        .collect();
     assert_eq!(known, [("drained_angle", 38.0), ("shake_mass", 1.0), ("shake_mass", 4.0)]);
     assert_eq!(count(&service, "/v1/powders/sand/observations").await, 0);
 }
@@ -159,19 +183,32 @@ async fn measurements_and_observations_are_the_same_over_grpc() {
     // As sent by a client that only has the three numbers and omits a zero.
     let plain = proto::AddMeasurementRequest { repose_deg: Some(30.0), n: Some(5), ..new() };
     let repeats = proto::AddMeasurementRequest { repeats_deg: vec![30.0, 32.0, 34.0], ..new() };
-    let heaps = proto::AddMeasurementRequest { heights_mm: vec![20.0], base_diameters_mm: vec![40.0], ..new() };
+    let heaps = proto::AddMeasurementRequest {
+        heights_mm: vec![20.0],
+        base_diameters_mm: vec![40.0],
+        ..new()
+    };
     for (message, sd, n) in [(plain, 0.0, 5), (repeats, 2.0, 3), (heaps, 0.0, 1)] {
-        let measured = powders.add_measurement(as_operator(&service, message).await).await.unwrap().into_inner();
+        let measured = powders
+            .add_measurement(as_operator(&service, message).await)
+            .await
+            .unwrap()
+            .into_inner();
         assert_eq!((measured.sd_deg, measured.n), (sd, n));
     }
     for message in [
         new(),
         proto::AddMeasurementRequest { repose_deg: Some(30.0), ..new() },
         proto::AddMeasurementRequest { repeats_deg: vec![f64::NAN], ..new() },
-        proto::AddMeasurementRequest { heights_mm: vec![f64::INFINITY], base_diameters_mm: vec![40.0], ..new() },
+        proto::AddMeasurementRequest {
+            heights_mm: vec![f64::INFINITY],
+            base_diameters_mm: vec![40.0],
+            ..new()
+        },
         proto::AddMeasurementRequest { repeats_deg: vec![30.0], heights_mm: vec![20.0], ..new() },
     ] {
-        let status = powders.add_measurement(as_operator(&service, message).await).await.unwrap_err();
+        let status =
+            powders.add_measurement(as_operator(&service, message).await).await.unwrap_err();
         assert_eq!(status.code(), Code::InvalidArgument, "{status}");
     }
 
@@ -193,15 +230,31 @@ async fn measurements_and_observations_are_the_same_over_grpc() {
     for kind in kinds {
         powders.add_observation(as_operator(&service, observed(Some(kind))).await).await.unwrap();
     }
-    let missing = powders.add_observation(as_operator(&service, observed(None)).await).await.unwrap_err();
+    let missing =
+        powders.add_observation(as_operator(&service, observed(None)).await).await.unwrap_err();
     assert_eq!(missing.code(), Code::InvalidArgument);
     let list = proto::ListObservationsRequest { powder: "salt".into(), page: None };
     let items = powders.list_observations(list).await.unwrap().into_inner().items;
     let rest: Value = service.get(OBSERVATIONS).await.json().await.unwrap();
     let ids: Vec<&str> = items.iter().map(|item| item.id.as_str()).collect();
-    assert_eq!(ids, rest["items"].as_array().unwrap().iter().map(|o| o["id"].as_str().unwrap()).collect::<Vec<_>>());
-    assert_eq!(items.iter().map(|item| item.observable.unwrap().kind.unwrap()).collect::<Vec<_>>(), kinds);
-    let detail = powders.get_powder(proto::GetPowderRequest { id: "salt".into() }).await.unwrap().into_inner();
+    assert_eq!(
+        ids,
+        rest["items"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|o| o["id"].as_str().unwrap())
+            .collect::<Vec<_>>()
+    );
+    assert_eq!(
+        items.iter().map(|item| item.observable.unwrap().kind.unwrap()).collect::<Vec<_>>(),
+        kinds
+    );
+    let detail = powders
+        .get_powder(proto::GetPowderRequest { id: "salt".into() })
+        .await
+        .unwrap()
+        .into_inner();
     assert_eq!(detail.observations.len(), 4);
 }
 
@@ -223,7 +276,8 @@ async fn a_file_is_taken_in_whole_and_comes_back_as_it_was() {
     let added: Value = response.json().await.unwrap();
     assert_eq!(added["powders"], json!(["flour", "chalk"]));
     let angles = added["measurements"].as_array().unwrap();
-    let angles: Vec<_> = angles.iter().map(|m| json!([m["powder"], m["method"], m["n"], m["source"]])).collect();
+    let angles: Vec<_> =
+        angles.iter().map(|m| json!([m["powder"], m["method"], m["n"], m["source"]])).collect();
     assert_eq!(
         angles,
         [
@@ -239,7 +293,12 @@ async fn a_file_is_taken_in_whole_and_comes_back_as_it_was() {
 
     let export = service.get("/v1/powders/flour/measurements.csv").await;
     assert_eq!(export.headers()["content-type"], "text/csv; charset=utf-8");
-    assert!(export.headers()["content-disposition"].to_str().unwrap().contains("flour-measurements.csv"));
+    assert!(
+        export.headers()["content-disposition"]
+            .to_str()
+            .unwrap()
+            .contains("flour-measurements.csv")
+    );
     let export = export.text().await.unwrap();
     assert_eq!(export.lines().count(), 4, "{export}");
     let other = Service::start().await;
@@ -267,10 +326,19 @@ async fn the_same_file_again_makes_no_duplicates_and_says_how_many_were_left_out
     // Another source, another value or another powder is another measurement, and so is a row that
     // the file has once more than the store.
     for (csv, added) in [
-        ("powder,method,repose_deg,repose_sd_deg,n\nchalk,manual,44.5,1.25,6\nchalk,manual,44.5,1.25,6\n", 1),
+        (
+            "powder,method,repose_deg,repose_sd_deg,n\nchalk,manual,44.5,1.25,6\nchalk,manual,44.5,1.25,6\n",
+            1,
+        ),
         ("powder,method,repose_deg,repose_sd_deg,n,source\nchalk,manual,44.5,1.25,6,Hall\n", 1),
-        ("powder,method,repose_deg,repose_sd_deg,n\nchalk,automated,44.5,1.25,6\nflour,manual,44.5,1.25,6\n", 2),
-        ("powder,method,repose_deg,repose_sd_deg,n\nchalk,manual,44.5,1.5,6\nchalk,manual,44.5,1.25,7\n", 2),
+        (
+            "powder,method,repose_deg,repose_sd_deg,n\nchalk,automated,44.5,1.25,6\nflour,manual,44.5,1.25,6\n",
+            2,
+        ),
+        (
+            "powder,method,repose_deg,repose_sd_deg,n\nchalk,manual,44.5,1.5,6\nchalk,manual,44.5,1.25,7\n",
+            2,
+        ),
     ] {
         let more: Value = import(&service, "", csv).await.json().await.unwrap();
         assert_eq!(more["measurements"].as_array().unwrap().len(), added, "{csv}: {more}");
@@ -296,9 +364,16 @@ async fn a_name_that_is_nearly_right_is_asked_about() {
 async fn the_spread_of_a_single_value_is_unknown_and_not_nothing() {
     let service = Service::start().await;
     let added: Value =
-        import(&service, "", "powder,repose_deg,n\nsalt,36.2,1\nsand,30,\nsand,30,\n").await.json().await.unwrap();
+        import(&service, "", "powder,repose_deg,n\nsalt,36.2,1\nsand,30,\nsand,30,\n")
+            .await
+            .json()
+            .await
+            .unwrap();
     assert_eq!(added["measurements"][0]["sd_unknown"], true, "{added}");
-    assert!(added["measurements"][1].get("sd_unknown").is_none(), "two equal repeats have a spread of nothing");
+    assert!(
+        added["measurements"][1].get("sd_unknown").is_none(),
+        "two equal repeats have a spread of nothing"
+    );
     let export = service.get("/v1/powders/salt/measurements.csv").await.text().await.unwrap();
     assert!(export.contains("\nsalt,automated,36.2,,1,"), "{export}");
     assert_eq!(import(&Service::start().await, "", export).await.status(), 201);
@@ -309,8 +384,16 @@ async fn a_bad_file_is_refused_by_row_and_column_and_stores_nothing() {
     let service = Service::start().await;
     let before = service.get("/v1/measurements.csv").await.text().await.unwrap();
     for (query, csv, named) in [
-        ("?create=true", "powder,repose_deg\nflour,30\nflour,86\n", &["row[3].repose_deg"] as &[&str]),
-        ("", "powder,repose_deg\nsalt,30\nflour,30\nflour,31\nchalk,30\n", &["row[3].powder", "row[5].powder"]),
+        (
+            "?create=true",
+            "powder,repose_deg\nflour,30\nflour,86\n",
+            &["row[3].repose_deg"] as &[&str],
+        ),
+        (
+            "",
+            "powder,repose_deg\nsalt,30\nflour,30\nflour,31\nchalk,30\n",
+            &["row[3].powder", "row[5].powder"],
+        ),
         ("", "powder,repose\nsalt,30\n", &["repose"]),
         ("", "powder,repose_deg\nsalt,30,5\n", &["row[2]"]),
         ("", "powder,drained_deg\nsalt,30\n", &["row[2].drained_deg"]),
@@ -327,7 +410,8 @@ async fn a_bad_file_is_refused_by_row_and_column_and_stores_nothing() {
     let large = problem(import(&service, "", " ".repeat(8 * 1024 * 1024 + 1)).await, 400).await;
     assert_eq!(fields(&large), ["file"]);
     problem(import(&service, "", " ".repeat(16 * 1024 * 1024 + 1)).await, 413).await;
-    let problem_of_json = problem(post(&service, "/v1/measurements/import", &json!({})).await, 415).await;
+    let problem_of_json =
+        problem(post(&service, "/v1/measurements/import", &json!({})).await, 415).await;
     assert!(problem_of_json["detail"].as_str().unwrap().contains("text/csv"));
     problem(service.request("POST", "/v1/measurements/import").send().await.unwrap(), 401).await;
     problem(service.get("/v1/powders/flour").await, 404).await;
@@ -343,7 +427,11 @@ async fn a_powder_is_registered_by_its_name_under_an_id_that_is_told() {
     };
     let file = "Powder\tRepose_Deg\r\nLactose 200M\t40,5\r\n3-Nitrotoluene\t38,5\r\nSodium bicarbonate\t42,5\r\n";
     let unknown = problem(import(&service, "", utf16(file)).await, 400).await;
-    assert_eq!(fields(&unknown), ["row[2].powder", "row[3].powder"], "sodium bicarbonate is registered");
+    assert_eq!(
+        fields(&unknown),
+        ["row[2].powder", "row[3].powder"],
+        "sodium bicarbonate is registered"
+    );
     let added: Value = import(&service, "?create=true", utf16(file)).await.json().await.unwrap();
     assert_eq!(added["powders"], json!(["lactose_200m", "p_3_nitrotoluene"]));
     assert_eq!(added["named"][0], json!({ "name": "Lactose 200M", "id": "lactose_200m" }));
@@ -352,7 +440,11 @@ async fn a_powder_is_registered_by_its_name_under_an_id_that_is_told() {
     assert_eq!(powder["powder"]["name"], "3-Nitrotoluene");
     let again = import(&service, "", "powder,repose_deg\nLACTOSE 200M,41\nlactose_200m,41\n").await;
     assert_eq!(again.status(), 201, "by the name that it has, or its id");
-    let other = problem(import(&service, "?create=true", "powder,repose_deg\nLactose-200M,41\n").await, 400).await;
+    let other = problem(
+        import(&service, "?create=true", "powder,repose_deg\nLactose-200M,41\n").await,
+        400,
+    )
+    .await;
     assert!(other["detail"].as_str().unwrap().contains("`Lactose 200M`"), "{other}");
 
     // The same without a file.
@@ -372,10 +464,15 @@ async fn a_powder_is_registered_by_its_name_under_an_id_that_is_told() {
 async fn twenty_thousand_rows_are_taken_over_rest_and_grpc() {
     let service = Service::start().await;
     // Two sources, 10000 repeats at most each; a remark makes it more than a megabyte.
-    let row = |k: u32| format!("salt,{}.{},\"bench {}, {:>60}\"\r\n", 30 + k % 7, k % 10, k % 2, "by the window");
+    let row = |k: u32| {
+        format!("salt,{}.{},\"bench {}, {:>60}\"\r\n", 30 + k % 7, k % 10, k % 2, "by the window")
+    };
     let rows: String = (0..20_000).map(row).collect();
     let response = import(&service, "", format!("powder,repose_deg,source\r\n{rows}")).await;
     assert_eq!(response.status(), 201);
     let added: Value = response.json().await.unwrap();
-    assert_eq!((&added["measurements"][0]["n"], &added["measurements"][1]["n"]), (&json!(10_000), &json!(10_000)));
+    assert_eq!(
+        (&added["measurements"][0]["n"], &added["measurements"][1]["n"]),
+        (&json!(10_000), &json!(10_000))
+    );
 }

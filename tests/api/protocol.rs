@@ -18,10 +18,24 @@ async fn unknown_paths_and_wrong_methods_are_problems() {
 #[tokio::test]
 async fn every_answer_is_hardened() {
     let service = Service::start().await;
-    for path in ["/", "/v1/parameters", "/v1/nothing", "/openapi.json", "/healthz", "/weighings/1", "/assets/none.js"] {
+    for path in [
+        "/",
+        "/v1/parameters",
+        "/v1/nothing",
+        "/openapi.json",
+        "/healthz",
+        "/weighings/1",
+        "/assets/none.js",
+    ] {
         let response = service.get(path).await;
-        let header =
-            |name: &str| response.headers().get(name).unwrap_or_else(|| panic!("{path}: {name}")).to_str().unwrap();
+        let header = |name: &str| {
+            response
+                .headers()
+                .get(name)
+                .unwrap_or_else(|| panic!("{path}: {name}"))
+                .to_str()
+                .unwrap()
+        };
         let csp = header("content-security-policy");
         assert!(csp.starts_with("default-src 'self';") && !csp.contains("unsafe"), "{path}: {csp}");
         assert_eq!(header("x-content-type-options"), "nosniff", "{path}");
@@ -82,7 +96,8 @@ async fn a_program_that_probes_for_an_interface_is_told_that_there_is_none() {
     let service = Service::start().await;
     for path in ["/status", "/info", "/version", "/.well-known/oauth", "/weighings/some"] {
         for accept in ["application/json", "*/*"] {
-            let answer = service.request("GET", path).header("accept", accept).send().await.unwrap();
+            let answer =
+                service.request("GET", path).header("accept", accept).send().await.unwrap();
             assert_eq!(answer.headers()["content-type"], "application/problem+json", "{path}");
             problem(answer, 404).await;
         }
@@ -120,11 +135,19 @@ async fn metrics_tell_of_the_bench_the_queue_and_each_dose() {
         "tolerance": { "lower": 1, "upper": 1, "unit": "mg" },
     });
     let weighing: serde_json::Value = service.weigh("told", &body).await.json().await.unwrap();
-    service.watch(&format!("/v1/weighings/{}/events", weighing["id"].as_str().unwrap()), None).await.unwrap();
+    service
+        .watch(&format!("/v1/weighings/{}/events", weighing["id"].as_str().unwrap()), None)
+        .await
+        .unwrap();
     let told = |text: &str| {
-        ["flip_dose_error_mg_count{", "flip_dose_seconds_count{", "flip_dose_shakes_count{", "flip_doses_total{"]
-            .iter()
-            .all(|name| text.contains(&format!("{name}bench=\"simulated\",outcome=\"within\"}}")))
+        [
+            "flip_dose_error_mg_count{",
+            "flip_dose_seconds_count{",
+            "flip_dose_shakes_count{",
+            "flip_doses_total{",
+        ]
+        .iter()
+        .all(|name| text.contains(&format!("{name}bench=\"simulated\",outcome=\"within\"}}")))
     };
     let deadline = tokio::time::Instant::now() + std::time::Duration::from_secs(20);
     while !told(&metrics().await) {
@@ -140,7 +163,9 @@ async fn probes_answer_and_metrics_count_requests() {
     assert_eq!(service.get("/readyz").await.status(), 200);
     service.get("/v1/parameters").await;
     let metrics = service.get("/metrics").await.text().await.unwrap();
-    let counted = |line: &&str| line.starts_with("flip_requests_total{") && line.contains("route=\"/v1/parameters\"");
+    let counted = |line: &&str| {
+        line.starts_with("flip_requests_total{") && line.contains("route=\"/v1/parameters\"")
+    };
     assert!(metrics.lines().any(|line| counted(&line)), "{metrics}");
     assert!(metrics.contains("flip_request_seconds_bucket"), "{metrics}");
 }
@@ -154,10 +179,16 @@ async fn metrics_count_weighings_by_outcome() {
         "tolerance": { "lower": 1, "upper": 1, "unit": "mg" },
     });
     let weighing: serde_json::Value = service.weigh("counted", &body).await.json().await.unwrap();
-    service.watch(&format!("/v1/weighings/{}/events", weighing["id"].as_str().unwrap()), None).await.unwrap();
+    service
+        .watch(&format!("/v1/weighings/{}/events", weighing["id"].as_str().unwrap()), None)
+        .await
+        .unwrap();
     let metrics = service.get("/metrics").await.text().await.unwrap();
     assert!(metrics.contains("flip_weighings{state=\"done\",outcome=\"within\"} 1\n"), "{metrics}");
-    assert!(metrics.contains("flip_jobs{kind=\"calibration\",state=\"succeeded\"} 1\n"), "{metrics}");
+    assert!(
+        metrics.contains("flip_jobs{kind=\"calibration\",state=\"succeeded\"} 1\n"),
+        "{metrics}"
+    );
 }
 
 #[tokio::test]

@@ -32,8 +32,11 @@ async fn verified(service: &Service) -> Value {
 /// Path of a weighing's ticks.
 async fn trace_file(service: &Service, id: &str) -> PathBuf {
     let pool = database(service.folder()).await;
-    let sha256: String =
-        sqlx::query_scalar("SELECT trace FROM weighing WHERE id = ?1").bind(id).fetch_one(&pool).await.unwrap();
+    let sha256: String = sqlx::query_scalar("SELECT trace FROM weighing WHERE id = ?1")
+        .bind(id)
+        .fetch_one(&pool)
+        .await
+        .unwrap();
     service.folder().join("blobs").join(&sha256[..2]).join(sha256)
 }
 
@@ -58,8 +61,12 @@ async fn a_result_row_that_was_changed_by_sql_neither_passes_verification_nor_is
         change(&service, sql).await;
         let found = verified(&service).await;
         assert_eq!(found["changed"][0]["weighing"], json!(id), "{sql}: {found}");
-        assert!(found["broken"]["why"].as_str().unwrap().contains("changed outside FLIP"), "{sql}: {found}");
-        let refused = problem(service.get(&format!("/v1/weighings/{id}/certificate.html")).await, 409).await;
+        assert!(
+            found["broken"]["why"].as_str().unwrap().contains("changed outside FLIP"),
+            "{sql}: {found}"
+        );
+        let refused =
+            problem(service.get(&format!("/v1/weighings/{id}/certificate.html")).await, 409).await;
         assert_eq!(refused["type"], "urn:flip:problem:record-differs", "{sql}");
     }
 }
@@ -108,11 +115,15 @@ async fn other_rows_after(sql: &'static str) -> (String, Value) {
     service.token(Role::Operator).await;
     let body = json!({ "method": "manual", "repose_deg": 31.5, "sd_deg": 1, "n": 5 });
     let operator = service.token(Role::Operator).await;
-    let post = service.request("POST", "/v1/powders/salt/measurements").bearer_auth(&operator).json(&body);
+    let post =
+        service.request("POST", "/v1/powders/salt/measurements").bearer_auth(&operator).json(&body);
     assert_eq!(post.send().await.unwrap().status(), 201);
     let file = "powder,drained_deg\nsalt,38\nsalt,39\n";
     let post = service.request("POST", "/v1/measurements/import").bearer_auth(&operator);
-    assert_eq!(post.header("content-type", "text/csv").body(file).send().await.unwrap().status(), 201);
+    assert_eq!(
+        post.header("content-type", "text/csv").body(file).send().await.unwrap().status(),
+        201
+    );
     let whole = verified(&service).await;
     assert_eq!((&whole["broken"], &whole["others"]), (&Value::Null, &Value::Null), "{whole}");
     change(&service, sql).await;
@@ -150,7 +161,11 @@ async fn a_revoked_token_that_was_made_good_again_by_sql_does_not_pass_verificat
     assert_eq!(verified(&service).await["broken"], Value::Null);
     change(&service, "UPDATE token SET revoked_at = NULL").await;
     let found = verified(&service).await;
-    assert_eq!((&found["others"][0]["what"], &found["others"][0]["id"]), (&json!("token"), &json!(id)), "{found}");
+    assert_eq!(
+        (&found["others"][0]["what"], &found["others"][0]["id"]),
+        (&json!("token"), &json!(id)),
+        "{found}"
+    );
 }
 
 #[tokio::test]
@@ -167,7 +182,10 @@ async fn what_was_measured_and_what_the_bench_is_cannot_be_changed_by_sql_unseen
         ("UPDATE observation SET body = json_set(body, '$.mean', 45.0)", "observation"),
         ("UPDATE powder SET name = 'Sugar' WHERE id = 'salt'", "powder"),
         ("UPDATE parameter_set SET parameters = replace(parameters, '0.', '0.0')", "parameter_set"),
-        ("INSERT INTO latch (at, reason, cleared_at, cleared_by) VALUES (1, 'never', 2, 'nobody')", "latch"),
+        (
+            "INSERT INTO latch (at, reason, cleared_at, cleared_by) VALUES (1, 'never', 2, 'nobody')",
+            "latch",
+        ),
         ("INSERT INTO bench_hold (at, reason) VALUES (1, 'never')", "hold"),
         ("INSERT INTO bench_check (at, kind, body) VALUES (1, 'repeatability', '{}')", "check"),
     ] {
@@ -180,7 +198,8 @@ async fn what_was_measured_and_what_the_bench_is_cannot_be_changed_by_sql_unseen
 async fn a_hold_that_was_ended_by_sql_is_still_on_record() {
     let service = Service::ready().await;
     let operator = service.token(Role::Admin).await;
-    let stop = service.request("POST", "/v1/bench/stop").bearer_auth(&operator).send().await.unwrap();
+    let stop =
+        service.request("POST", "/v1/bench/stop").bearer_auth(&operator).send().await.unwrap();
     assert!(stop.status().is_success(), "{}", stop.status());
     while service.get("/v1/bench").await.json::<Value>().await.unwrap()["held"].is_null() {
         tokio::task::yield_now().await;
@@ -203,7 +222,11 @@ async fn an_intent_that_was_changed_before_its_dose_is_noticed() {
     service.weigh("first", &request).await;
     service.until_pouring().await;
     let second: Value = service.weigh("second", &request).await.json().await.unwrap();
-    assert_eq!(verified(&service).await["broken"], Value::Null, "what moves and what waits is as it was asked for");
+    assert_eq!(
+        verified(&service).await["broken"],
+        Value::Null,
+        "what moves and what waits is as it was asked for"
+    );
     change(&service, "UPDATE weighing SET target_mg = 30 WHERE idempotency_key = 'second'").await;
     assert_eq!(verified(&service).await["changed"][0]["weighing"], second["id"]);
     drop(hold);
@@ -213,17 +236,21 @@ async fn an_intent_that_was_changed_before_its_dose_is_noticed() {
 async fn an_intent_says_who_asked_and_with_which_key() {
     let service = Service::ready().await;
     let id = weighed(&service, "the-key").await;
-    let page: Value = service.get(&format!("/v1/audit?weighing={id}&limit=200")).await.json().await.unwrap();
-    let intent = page["items"].as_array().unwrap().iter().find(|it| it["kind"] == "intent").unwrap();
+    let page: Value =
+        service.get(&format!("/v1/audit?weighing={id}&limit=200")).await.json().await.unwrap();
+    let intent =
+        page["items"].as_array().unwrap().iter().find(|it| it["kind"] == "intent").unwrap();
     assert_eq!(intent["body"]["idempotency_key"], "the-key");
     assert_eq!(
         (&intent["body"]["who"]["name"], &intent["body"]["who"]["role"]),
         (&json!("test"), &json!("operator")),
         "{intent}"
     );
-    let outcome = page["items"].as_array().unwrap().iter().find(|it| it["kind"] == "outcome").unwrap();
+    let outcome =
+        page["items"].as_array().unwrap().iter().find(|it| it["kind"] == "outcome").unwrap();
     assert!(outcome["body"]["who"].is_null(), "the bench's own work has nobody");
-    let certificate = service.get(&format!("/v1/weighings/{id}/certificate.html")).await.text().await.unwrap();
+    let certificate =
+        service.get(&format!("/v1/weighings/{id}/certificate.html")).await.text().await.unwrap();
     assert!(certificate.contains("test (operator)"), "{certificate}");
 }
 
@@ -247,7 +274,10 @@ async fn a_lost_or_damaged_trace_costs_the_trace_and_nothing_else() {
         assert!(detail["trace_lost"].as_str().unwrap().contains("gone or damaged"), "{detail}");
         for part in ["trace", "trace.csv"] {
             let lost = problem(service.get(&format!("{path}/{part}")).await, 410).await;
-            assert!(lost["detail"].as_str().unwrap().contains("the trace of this weighing is lost"), "{lost}");
+            assert!(
+                lost["detail"].as_str().unwrap().contains("the trace of this weighing is lost"),
+                "{lost}"
+            );
         }
         let certificate = service.get(&format!("{path}/certificate.html")).await;
         assert_eq!(certificate.status(), 200);
@@ -267,8 +297,12 @@ async fn a_damaged_policy_is_lost_by_name_and_the_list_goes_on() {
     assert_eq!(service.get("/v1/policies").await.status(), 200);
     assert_eq!(service.get(&format!("/v1/policies/{id}")).await.status(), 200);
     let token = service.token(Role::Viewer).await;
-    let mut client = flip::api::grpc::proto::policies_client::PoliciesClient::connect(service.url("")).await.unwrap();
-    let mut request = tonic::Request::new(flip::api::grpc::proto::DownloadWeightsRequest { id: id.to_owned() });
+    let mut client =
+        flip::api::grpc::proto::policies_client::PoliciesClient::connect(service.url(""))
+            .await
+            .unwrap();
+    let mut request =
+        tonic::Request::new(flip::api::grpc::proto::DownloadWeightsRequest { id: id.to_owned() });
     request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
     assert_eq!(client.download_weights(request).await.unwrap_err().code(), tonic::Code::DataLoss);
 }

@@ -25,7 +25,8 @@ struct Case {
 
 fn cases() -> Vec<Case> {
     let case = |what, field, body| Case { what, body, status: 400, field };
-    let raw = |number: &str| weighing(|_| ()).replace("\"value\":15", &format!("\"value\":{number}"));
+    let raw =
+        |number: &str| weighing(|_| ()).replace("\"value\":15", &format!("\"value\":{number}"));
     vec![
         case("NaN", "target.value", raw("NaN")),
         case("an infinite number", "target.value", raw("1e999")),
@@ -34,15 +35,43 @@ fn cases() -> Vec<Case> {
         case("a target above what the spoon holds", "target.value", raw("5000")),
         case("a target as text", "target.value", raw("\"15\"")),
         case("a target that is too small to weigh", "target.value", raw("1e-300")),
-        case("a wrong unit of the target", "target.unit", weighing(|b| b["target"]["unit"] = json!("lb"))),
-        case("a wrong unit of the tolerance", "tolerance.unit", weighing(|b| b["tolerance"]["unit"] = json!("ppm"))),
-        case("a negative tolerance", "tolerance.lower", weighing(|b| b["tolerance"]["lower"] = json!(-1))),
+        case(
+            "a wrong unit of the target",
+            "target.unit",
+            weighing(|b| b["target"]["unit"] = json!("lb")),
+        ),
+        case(
+            "a wrong unit of the tolerance",
+            "tolerance.unit",
+            weighing(|b| b["tolerance"]["unit"] = json!("ppm")),
+        ),
+        case(
+            "a negative tolerance",
+            "tolerance.lower",
+            weighing(|b| b["tolerance"]["lower"] = json!(-1)),
+        ),
         case("an unknown powder", "powder", weighing(|b| b["powder"] = json!("unobtainium"))),
-        case("a powder that is no name", "powder", weighing(|b| b["powder"] = json!("../etc/passwd"))),
-        case("an unknown policy", "policy", weighing(|b| b["policy"] = json!("p-0000000000000000"))),
+        case(
+            "a powder that is no name",
+            "powder",
+            weighing(|b| b["powder"] = json!("../etc/passwd")),
+        ),
+        case(
+            "an unknown policy",
+            "policy",
+            weighing(|b| b["policy"] = json!("p-0000000000000000")),
+        ),
         case("an unknown field", "pour", weighing(|b| b["pour"] = json!(true))),
-        case("an unknown field within", "target.mass", weighing(|b| b["target"]["mass"] = json!(1))),
-        case("a missing field", "target", weighing(|b| drop(b.as_object_mut().unwrap().remove("target")))),
+        case(
+            "an unknown field within",
+            "target.mass",
+            weighing(|b| b["target"]["mass"] = json!(1)),
+        ),
+        case(
+            "a missing field",
+            "target",
+            weighing(|b| drop(b.as_object_mut().unwrap().remove("target"))),
+        ),
         case(
             "a missing field within",
             "target.unit",
@@ -53,7 +82,12 @@ fn cases() -> Vec<Case> {
         case("an array", "", "[]".into()),
         case("nothing", "", String::new()),
         case("two documents", "", weighing(|_| ()) + "{}"),
-        Case { what: "an oversized body", body: " ".repeat(1024 * 1024 + 1), status: 413, field: "" },
+        Case {
+            what: "an oversized body",
+            body: " ".repeat(1024 * 1024 + 1),
+            status: 413,
+            field: "",
+        },
     ]
 }
 
@@ -63,7 +97,10 @@ async fn a_bad_weighing_is_refused_by_field_and_stores_nothing() {
     let token = service.token(Role::Operator).await;
     for Case { what, body, status, field } in cases() {
         let request = service.request("POST", "/v1/weighings").bearer_auth(&token);
-        let request = request.header("content-type", "application/json").header("idempotency-key", "k").body(body);
+        let request = request
+            .header("content-type", "application/json")
+            .header("idempotency-key", "k")
+            .body(body);
         let problem = problem(request.send().await.unwrap(), status).await;
         let expected: &[&str] = if field.is_empty() { &[] } else { &[field] };
         assert_eq!(fields(&problem), expected, "{what}: {problem}");
@@ -76,13 +113,17 @@ async fn a_bad_weighing_is_refused_by_field_and_stores_nothing() {
 async fn a_weighing_needs_a_key_and_json() {
     let service = Service::ready().await;
     let token = service.token(Role::Operator).await;
-    let post = || service.request("POST", "/v1/weighings").bearer_auth(&token).body(weighing(|_| ()));
+    let post =
+        || service.request("POST", "/v1/weighings").bearer_auth(&token).body(weighing(|_| ()));
     let json = "application/json";
     let keyless = problem(post().header("content-type", json).send().await.unwrap(), 400).await;
     assert_eq!(fields(&keyless), ["Idempotency-Key"]);
-    let blank = post().header("content-type", json).header("idempotency-key", "a b").send().await.unwrap();
+    let blank =
+        post().header("content-type", json).header("idempotency-key", "a b").send().await.unwrap();
     assert_eq!(fields(&problem(blank, 400).await), ["Idempotency-Key"]);
-    let form = post().header("content-type", "application/x-www-form-urlencoded").header("idempotency-key", "k");
+    let form = post()
+        .header("content-type", "application/x-www-form-urlencoded")
+        .header("idempotency-key", "k");
     problem(form.send().await.unwrap(), 415).await;
 }
 
@@ -158,7 +199,11 @@ async fn bad_powders_and_jobs_are_refused_by_field() {
             json!({ "method": "manual", "repose_deg": 95, "sd_deg": 1, "n": 5 }),
             "repose_deg",
         ),
-        ("/v1/powders/salt/measurements", json!({ "method": "manual", "repose_deg": 30, "sd_deg": 1, "n": -5 }), "n"),
+        (
+            "/v1/powders/salt/measurements",
+            json!({ "method": "manual", "repose_deg": 30, "sd_deg": 1, "n": -5 }),
+            "n",
+        ),
         ("/v1/calibrations", json!({ "powder": "unobtainium" }), "powder"),
         ("/v1/calibrations", json!({ "powder": "salt", "sets": 0 }), "sets"),
         ("/v1/calibrations", json!({ "powder": "salt", "tolerance_deg": -1 }), "tolerance_deg"),
@@ -174,8 +219,10 @@ async fn bad_powders_and_jobs_are_refused_by_field() {
     }
     let jobs: Value = service.get("/v1/jobs").await.json().await.unwrap();
     assert_eq!(jobs["items"], json!([]));
-    let taken =
-        service.request("POST", "/v1/powders").bearer_auth(&token).json(&json!({ "id": "salt", "name": "Salt" }));
+    let taken = service
+        .request("POST", "/v1/powders")
+        .bearer_auth(&token)
+        .json(&json!({ "id": "salt", "name": "Salt" }));
     let taken = problem(taken.send().await.unwrap(), 409).await;
     assert_eq!(taken["type"], "urn:flip:problem:powder-exists");
 }

@@ -66,7 +66,8 @@ fn body(Upload { depth, colour, description }: &Upload) -> Value {
 
 fn photographed(deg: f64, seed: u64, count: usize) -> Vec<Upload> {
     let scene = Scene::of(Surface::Cone(Studio::drawn(deg, seed).cone));
-    let taken = frames(&scene, &Pose::default(), &Optics::default(), &Noise::default(), seed, count);
+    let taken =
+        frames(&scene, &Pose::default(), &Optics::default(), &Noise::default(), seed, count);
     taken.iter().map(|frame| upload(frame).unwrap()).collect()
 }
 
@@ -93,21 +94,28 @@ async fn an_emulated_laboratory_piles_and_photographs_by_itself() {
     let known = PUBLISHED.iter().find(|it| it.id == "salt").unwrap().automated.repose_deg;
     // Nobody has measured the powder: its previous value stays.
     assert_eq!(found["result"]["registered"], false);
-    assert_eq!(get(&service, "/v1/powders/salt").await["powder"]["flowability"]["repose_deg"], known);
+    assert_eq!(
+        get(&service, "/v1/powders/salt").await["powder"]["flowability"]["repose_deg"],
+        known
+    );
     // The same request again returns the same measurement; another run is another one.
     assert_eq!(post(&service, MEASUREMENTS, &asked).await.status(), 200);
     // A raw frame is exactly the photographed one.
     let raw = service.get(&format!("{place}/piles/2/frames/10/depth")).await;
     assert_eq!(raw.status(), 200);
     assert!(raw.bytes().await.unwrap().starts_with(b"\x89PNG"));
-    for missing in
-        ["piles/3/frames/1/depth", "piles/1/frames/11/depth", "piles/1/frames/0/depth", "piles/1/frames/1/sound"]
-    {
+    for missing in [
+        "piles/3/frames/1/depth",
+        "piles/1/frames/11/depth",
+        "piles/1/frames/0/depth",
+        "piles/1/frames/1/sound",
+    ] {
         problem(service.get(&format!("{place}/{missing}")).await, 404).await;
     }
     // The wire traffic is on record, and so is every pile.
     let audit = get(&service, "/v1/audit?limit=200").await;
-    let kinds: Vec<&str> = audit["items"].as_array().unwrap().iter().map(|it| it["kind"].as_str().unwrap()).collect();
+    let kinds: Vec<&str> =
+        audit["items"].as_array().unwrap().iter().map(|it| it["kind"].as_str().unwrap()).collect();
     assert_eq!(kinds.iter().filter(|kind| **kind == "pile").count(), 2);
     assert!(kinds.contains(&"sent") && kinds.contains(&"received"));
     let list = get(&service, MEASUREMENTS).await;
@@ -121,18 +129,26 @@ async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made
     let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
     let laboratory = Laboratory::start(lab::Settings::default(), clock, spoon).unwrap();
     let service = Service::ready_on(file_bench(laboratory.file())).await;
-    let asked = json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 1.0, "rest_s": 0.0 } });
+    let asked =
+        json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 1.0, "rest_s": 0.0 } });
     let place = started(&service, &asked).await;
     let frames_at = format!("{place}/frames");
-    until(&service, &place, |found| found["awaits"] == json!({ "pile": 1, "have": 0, "wanted": 10 })).await;
+    until(&service, &place, |found| {
+        found["awaits"] == json!({ "pile": 1, "have": 0, "wanted": 10 })
+    })
+    .await;
     // Unreadable frames are refused while the pile still lies there, and do not count.
     let mut bad = body(&photographed(35.0, 1, 1)[0]);
     bad["description"]["depth_unit_m"] = json!(null);
-    assert_eq!(fields(&problem(post(&service, &frames_at, &bad).await, 400).await), ["depth_unit_m"]);
+    assert_eq!(
+        fields(&problem(post(&service, &frames_at, &bad).await, 400).await),
+        ["depth_unit_m"]
+    );
     bad["depth"] = json!("not base64!");
     assert_eq!(fields(&problem(post(&service, &frames_at, &bad).await, 400).await), ["depth"]);
     let scene = Scene::of(Surface::Cone(Studio::drawn(35.0, 1).cone));
-    for frame in faulty_uploads(CameraFault::FunnelMissing, &scene, &Optics::default(), 1).unwrap() {
+    for frame in faulty_uploads(CameraFault::FunnelMissing, &scene, &Optics::default(), 1).unwrap()
+    {
         assert_eq!(post(&service, &frames_at, &body(&frame)).await.status(), 202);
     }
     until(&service, &place, |found| found["awaits"]["pile"] == 2).await;
@@ -146,7 +162,9 @@ async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made
         (&json!("succeeded"), &json!(true)),
         "{found}"
     );
-    assert!(found["piles"][0]["measured"].is_null() && found["piles"][0]["refusal"].as_str().is_some());
+    assert!(
+        found["piles"][0]["measured"].is_null() && found["piles"][0]["refusal"].as_str().is_some()
+    );
     let tip = found["piles"][1]["measured"]["tip"]["deg"].as_f64().unwrap();
     assert!((tip - 35.0).abs() < 1.5, "{tip}");
     // It is now the value for salt, and it is compared with the manual measurements.
@@ -172,7 +190,8 @@ async fn over_grpc_a_measurement_is_the_same_and_takes_frames() {
     let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
     let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(20.0), spoon).unwrap();
     let service = Service::ready_on(file_bench(laboratory.file())).await;
-    let mut client = ReposeMeasurementsClient::new(channel(&service).await).max_decoding_message_size(1 << 24);
+    let mut client =
+        ReposeMeasurementsClient::new(channel(&service).await).max_decoding_message_size(1 << 24);
     let asked = |procedure: &str| proto::StartReposeMeasurementRequest {
         powder: "salt".into(),
         procedure_json: Some(procedure.to_owned()),
@@ -182,7 +201,8 @@ async fn over_grpc_a_measurement_is_the_same_and_takes_frames() {
     let refused = client.start_repose_measurement(wrong).await.unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument);
     assert_eq!(fields(&problem_of(&refused)), ["procedure_json"]);
-    let right = as_operator(&service, asked("{\"repeats\": 1, \"open_s\": 1.0, \"rest_s\": 0.0}")).await;
+    let right =
+        as_operator(&service, asked("{\"repeats\": 1, \"open_s\": 1.0, \"rest_s\": 0.0}")).await;
     let id = client.start_repose_measurement(right).await.unwrap().into_inner().job.unwrap().id;
     let place = format!("{MEASUREMENTS}/{id}");
     until(&service, &place, |found| found["awaits"]["have"] == 0).await;
@@ -191,21 +211,37 @@ async fn over_grpc_a_measurement_is_the_same_and_takes_frames() {
         let Upload { depth, colour, description } = frame.clone();
         let description_json = String::from_utf8(description).unwrap();
         let frame = proto::AddFrameRequest { id: id.clone(), depth, colour, description_json };
-        let awaited = client.add_frame(as_operator(&service, frame).await).await.unwrap().into_inner();
+        let awaited =
+            client.add_frame(as_operator(&service, frame).await).await.unwrap().into_inner();
         assert_eq!((awaited.pile, awaited.have, awaited.wanted), (1, k as u32 + 1, 10));
     }
     let rest = until(&service, &place, has_ended).await;
     let get = proto::GetReposeMeasurementRequest { id: id.clone() };
     let found = client.get_repose_measurement(get).await.unwrap().into_inner();
     assert_eq!(serde_json::from_str::<Value>(&found.rig_json).unwrap(), rest["rig"]);
-    assert_eq!(found.piles[0].tip.unwrap().deg, rest["piles"][0]["measured"]["tip"]["deg"].as_f64().unwrap());
+    assert_eq!(
+        found.piles[0].tip.unwrap().deg,
+        rest["piles"][0]["measured"]["tip"]["deg"].as_f64().unwrap()
+    );
     let result = found.result.unwrap();
-    assert!(result.registered && result.tip_u_deg == rest["result"]["repeats"]["tip_u_deg"].as_f64().unwrap());
+    assert!(
+        result.registered
+            && result.tip_u_deg == rest["result"]["repeats"]["tip_u_deg"].as_f64().unwrap()
+    );
     let raw = proto::DownloadFrameRequest { id, pile: 1, frame: 3, part: "depth".into() };
     assert_eq!(client.download_frame(raw).await.unwrap().into_inner().bytes, frames[2].depth);
-    let list = client.list_repose_measurements(proto::ListReposeMeasurementsRequest::default()).await.unwrap();
-    assert!(list.into_inner().items.iter().all(|it| it.powder == "salt" && it.piles.is_empty() && it.result.is_some()));
-    let compared = client.compare_methods(proto::CompareMethodsRequest {}).await.unwrap().into_inner().items;
+    let list = client
+        .list_repose_measurements(proto::ListReposeMeasurementsRequest::default())
+        .await
+        .unwrap();
+    assert!(
+        list.into_inner()
+            .items
+            .iter()
+            .all(|it| it.powder == "salt" && it.piles.is_empty() && it.result.is_some())
+    );
+    let compared =
+        client.compare_methods(proto::CompareMethodsRequest {}).await.unwrap().into_inner().items;
     let salt = compared.iter().find(|it| it.powder == "salt").unwrap();
     assert_eq!(salt.automated.unwrap().repose_deg, result.tip.unwrap().repose_deg);
     service.stop().await;
@@ -214,7 +250,8 @@ async fn over_grpc_a_measurement_is_the_same_and_takes_frames() {
 #[tokio::test]
 async fn a_bench_that_cannot_and_numbers_that_mean_nothing_are_refused() {
     let service = Service::ready().await;
-    let refused = problem(post(&service, MEASUREMENTS, &json!({ "powder": "salt" })).await, 409).await;
+    let refused =
+        problem(post(&service, MEASUREMENTS, &json!({ "powder": "salt" })).await, 409).await;
     assert!(refused["type"].as_str().unwrap().ends_with("no-stand"), "{refused}");
     for (body, field) in [
         (json!({}), "powder"),
@@ -224,9 +261,16 @@ async fn a_bench_that_cannot_and_numbers_that_mean_nothing_are_refused() {
         (json!({ "powder": "salt", "procedure": { "frames": 5 } }), "procedure.frames"),
         (json!({ "powder": "salt", "procedure": { "open_s": 0.5 } }), "procedure.open_s"),
         (json!({ "powder": "salt", "rig": { "base_diameter_mm": -60 } }), "rig.base_diameter_mm"),
-        (json!({ "powder": "salt", "limits": { "pile_invalid_max": 2 } }), "limits.pile_invalid_max"),
+        (
+            json!({ "powder": "salt", "limits": { "pile_invalid_max": 2 } }),
+            "limits.pile_invalid_max",
+        ),
     ] {
-        assert_eq!(fields(&problem(post(&service, MEASUREMENTS, &body).await, 400).await), [field], "{body}");
+        assert_eq!(
+            fields(&problem(post(&service, MEASUREMENTS, &body).await, 400).await),
+            [field],
+            "{body}"
+        );
     }
     assert_eq!(get(&service, MEASUREMENTS).await["items"], json!([]));
     service.stop().await;
@@ -266,23 +310,37 @@ async fn a_pile_that_is_being_made_is_told_as_what_moves_and_a_stop_of_the_bench
     let service = Service::ready_on(file_bench(laboratory.file())).await;
     let mut bench = BenchClient::new(channel(&service).await);
     let metrics = async || service.get("/metrics").await.text().await.unwrap();
-    let place = started(&service, &json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 300.0 } })).await;
+    let place = started(
+        &service,
+        &json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 300.0 } }),
+    )
+    .await;
     let id = place.rsplit('/').next().unwrap();
     while laboratory.slide.opening() < 1.0 {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     let found = get(&service, "/v1/bench").await;
-    assert_eq!((&found["piling"], &found["moving"]), (&json!({ "job": id, "pile": 1 }), &json!(null)));
+    assert_eq!(
+        (&found["piling"], &found["moving"]),
+        (&json!({ "job": id, "pile": 1 }), &json!(null))
+    );
     assert!(metrics().await.contains("flip_bench_moving 1\n"));
-    let piling = bench.get_bench(proto::GetBenchRequest {}).await.unwrap().into_inner().piling.unwrap();
+    let piling =
+        bench.get_bench(proto::GetBenchRequest {}).await.unwrap().into_inner().piling.unwrap();
     assert_eq!((piling.job.as_str(), piling.pile), (id, 1));
     assert_eq!(post(&service, "/v1/bench/stop", &json!({})).await.status(), 200);
     until(&service, &place, has_ended).await;
-    assert_eq!((laboratory.slide.opening(), &get(&service, "/v1/bench").await["piling"]), (0.0, &json!(null)));
+    assert_eq!(
+        (laboratory.slide.opening(), &get(&service, "/v1/bench").await["piling"]),
+        (0.0, &json!(null))
+    );
     assert!(metrics().await.contains("flip_bench_moving 0\n"));
 
     // A measurement at rest, waiting for its frames, does not move.
-    assert_eq!(post(&service, "/v1/bench/resume", &json!({ "by": "the test" })).await.status(), 200);
+    assert_eq!(
+        post(&service, "/v1/bench/resume", &json!({ "by": "the test" })).await.status(),
+        200
+    );
     let procedure = json!({ "repeats": 1, "open_s": 1.0, "rest_s": 0.0 });
     let place = started(&service, &json!({ "powder": "salt", "procedure": procedure })).await;
     until(&service, &place, |found| found["awaits"]["have"] == 0).await;

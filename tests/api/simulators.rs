@@ -17,7 +17,11 @@ const NEW_ROWS: &str = "powder,relative_humidity_pct\nsalt,32\nsalt,68\nlactose,
 async fn with_version() -> (Service, String) {
     let service = Service::start().await;
     let job: Value =
-        post(&service, &json!({ "measurements_csv": humid_campaign(), "simulations": 99 })).await.json().await.unwrap();
+        post(&service, &json!({ "measurements_csv": humid_campaign(), "simulations": 99 }))
+            .await
+            .json()
+            .await
+            .unwrap();
     let found = finished(&service, job["id"].as_str().unwrap()).await;
     let version = found["report"]["simulator_version"]["extended"].as_str().unwrap().to_owned();
     (service, version)
@@ -78,11 +82,19 @@ async fn a_version_is_made_current_and_rolled_back_and_each_choice_is_an_event()
     let back = chosen(&service, now["before"].as_str().unwrap()).await;
     assert_eq!((&back["simulator"], &back["before"]), (&json!("base"), &json!(version)));
     let events = choices(&service).await;
-    let expected = [json!({ "version": version, "before": null }), json!({ "version": null, "before": version })];
+    let expected = [
+        json!({ "version": version, "before": null }),
+        json!({ "version": null, "before": version }),
+    ];
     assert_eq!(events, expected, "one for each choice, none for what changed nothing");
-    let still: Value = service.get(&format!("/v1/simulators/{version}")).await.json().await.unwrap();
+    let still: Value =
+        service.get(&format!("/v1/simulators/{version}")).await.json().await.unwrap();
     assert_eq!(still, listed["items"][0], "versions never change");
-    assert_eq!(chosen(&service, fresh["base"].as_str().unwrap()).await, back, "the base goes by its own name too");
+    assert_eq!(
+        chosen(&service, fresh["base"].as_str().unwrap()).await,
+        back,
+        "the base goes by its own name too"
+    );
     let record: Value = service.get("/v1/audit?limit=200").await.json().await.unwrap();
     let bodies = record["items"].as_array().unwrap().iter().map(|record| &record["body"]);
     let choices: Vec<_> = bodies.filter(|body| body["action"] == "choose simulator").collect();
@@ -124,21 +136,39 @@ async fn versions_are_the_same_over_grpc() {
         assert_eq!(value, &rest[name], "{name}");
     }
     assert!(one.created_at.is_some_and(|at| at.seconds > 0));
-    let list = client.list_simulators(proto::ListSimulatorsRequest { page: None }).await.unwrap().into_inner();
+    let list = client
+        .list_simulators(proto::ListSimulatorsRequest { page: None })
+        .await
+        .unwrap()
+        .into_inner();
     assert_eq!((list.items.as_slice(), list.next), ([one].as_slice(), None));
 
-    let ask = |id: &str| proto::PredictRequest { id: id.to_owned(), measurements_csv: NEW_ROWS.to_owned() };
-    let predicted = client.predict(as_operator(&service, ask(&version)).await).await.unwrap().into_inner();
+    let ask = |id: &str| proto::PredictRequest {
+        id: id.to_owned(),
+        measurements_csv: NEW_ROWS.to_owned(),
+    };
+    let predicted =
+        client.predict(as_operator(&service, ask(&version)).await).await.unwrap().into_inner();
     let path = format!("/v1/simulators/{version}/predictions");
     let request = service.request("POST", &path).bearer_auth(service.token(Role::Operator).await);
-    let text = request.json(&json!({ "measurements_csv": NEW_ROWS })).send().await.unwrap().text().await.unwrap();
+    let text = request
+        .json(&json!({ "measurements_csv": NEW_ROWS }))
+        .send()
+        .await
+        .unwrap()
+        .text()
+        .await
+        .unwrap();
     let cell = |value: Option<f64>| value.map_or(String::new(), |value| value.to_string());
     let rows: Vec<String> = predicted
         .rows
         .iter()
         .map(|it| {
             let (before, after) = (cell(it.before_deg), cell(it.after_deg));
-            format!("{},{},{before},{},{after},{}", it.row, it.powder, it.before_sd_deg, it.after_sd_deg)
+            format!(
+                "{},{},{before},{},{after},{}",
+                it.row, it.powder, it.before_sd_deg, it.after_sd_deg
+            )
         })
         .collect();
     assert_eq!(rows, text.lines().skip(1).collect::<Vec<_>>());
@@ -149,21 +179,30 @@ async fn versions_are_the_same_over_grpc() {
     assert_eq!(base.code(), Code::InvalidArgument, "{base}");
     assert!(base.message().contains("simulator"), "{base}");
     let choice = proto::ChooseSimulatorRequest { simulator: version.clone() };
-    let now = client.choose_simulator(as_operator(&service, choice).await).await.unwrap().into_inner();
+    let now =
+        client.choose_simulator(as_operator(&service, choice).await).await.unwrap().into_inner();
     assert_eq!((now.simulator.as_str(), now.before()), (version.as_str(), "base"));
-    let by_current = client.predict(as_operator(&service, ask("current")).await).await.unwrap().into_inner();
+    let by_current =
+        client.predict(as_operator(&service, ask("current")).await).await.unwrap().into_inner();
     assert_eq!(by_current, predicted);
     let request = service.request("POST", "/v1/simulators/current/predictions");
     let request = request.bearer_auth(service.token(Role::Operator).await);
     let again = request.json(&json!({ "measurements_csv": NEW_ROWS })).send().await.unwrap();
     assert_eq!(again.text().await.unwrap(), text);
     let of_rest = current(&service).await;
-    let of_grpc = client.get_current_simulator(proto::GetCurrentSimulatorRequest {}).await.unwrap().into_inner();
+    let of_grpc = client
+        .get_current_simulator(proto::GetCurrentSimulatorRequest {})
+        .await
+        .unwrap()
+        .into_inner();
     assert_eq!(
         (json!(of_grpc.simulator), json!(of_grpc.base)),
         (of_rest["simulator"].clone(), of_rest["base"].clone())
     );
-    assert_eq!((of_grpc.before(), of_grpc.chosen_at), (of_rest["before"].as_str().unwrap(), now.chosen_at));
+    assert_eq!(
+        (of_grpc.before(), of_grpc.chosen_at),
+        (of_rest["before"].as_str().unwrap(), now.chosen_at)
+    );
 }
 
 #[tokio::test]
@@ -171,7 +210,8 @@ async fn grpc_refuses_what_rest_refuses() {
     let service = Service::start().await;
     let mut client = SimulatorsClient::connect(service.url("")).await.unwrap();
     let none = || "sv-0000000000000000".to_owned();
-    let missing = client.get_simulator(proto::GetSimulatorRequest { id: none() }).await.unwrap_err();
+    let missing =
+        client.get_simulator(proto::GetSimulatorRequest { id: none() }).await.unwrap_err();
     assert_eq!(missing.code(), Code::NotFound);
     let choice = || proto::ChooseSimulatorRequest { simulator: none() };
     let unknown = client.choose_simulator(as_operator(&service, choice()).await).await.unwrap_err();
@@ -179,6 +219,12 @@ async fn grpc_refuses_what_rest_refuses() {
     let anonymous = client.choose_simulator(choice()).await.unwrap_err();
     assert_eq!(anonymous.code(), Code::Unauthenticated);
     let ask = proto::PredictRequest { id: none(), measurements_csv: NEW_ROWS.to_owned() };
-    assert_eq!(client.predict(Request::new(ask.clone())).await.unwrap_err().code(), Code::Unauthenticated);
-    assert_eq!(client.predict(as_operator(&service, ask).await).await.unwrap_err().code(), Code::NotFound);
+    assert_eq!(
+        client.predict(Request::new(ask.clone())).await.unwrap_err().code(),
+        Code::Unauthenticated
+    );
+    assert_eq!(
+        client.predict(as_operator(&service, ask).await).await.unwrap_err().code(),
+        Code::NotFound
+    );
 }

@@ -44,7 +44,9 @@ async fn send_unfinished(
     answered: Arc<AtomicUsize>,
 ) {
     let body = axum::body::Body::from_stream(unfinished(&begun));
-    let request = axum::http::Request::post(method).header("content-type", "application/grpc").header("te", "trailers");
+    let request = axum::http::Request::post(method)
+        .header("content-type", "application/grpc")
+        .header("te", "trailers");
     let _answer = channel.oneshot(request.body(tonic::body::Body::new(body)).unwrap()).await;
     answered.fetch_add(1, Ordering::Relaxed);
 }
@@ -98,7 +100,12 @@ async fn unfinished_messages_on_three_connections_take_no_stop_away() {
         for _ in 0..3 {
             let channel = channel(&service).await;
             for _ in 0..100 {
-                attack.spawn(send_unfinished(channel.clone(), method, begun.clone(), answered.clone()));
+                attack.spawn(send_unfinished(
+                    channel.clone(),
+                    method,
+                    begun.clone(),
+                    answered.clone(),
+                ));
             }
         }
         while begun.load(Ordering::Relaxed) + answered.load(Ordering::Relaxed) < 256 {
@@ -113,11 +120,17 @@ async fn unfinished_messages_on_three_connections_take_no_stop_away() {
 }
 
 /// Runs `clients` that poll `path` repeatedly while `then` works.
-async fn while_polled<T>(service: &Service, clients: usize, path: &'static str, then: impl AsyncFnOnce() -> T) -> T {
+async fn while_polled<T>(
+    service: &Service,
+    clients: usize,
+    path: &'static str,
+    then: impl AsyncFnOnce() -> T,
+) -> T {
     let (over, answered) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicUsize::new(0)));
     let mut pollers = JoinSet::new();
     for _ in 0..clients {
-        let (over, answered, client, url) = (over.clone(), answered.clone(), reqwest::Client::new(), service.url(path));
+        let (over, answered, client, url) =
+            (over.clone(), answered.clone(), reqwest::Client::new(), service.url(path));
         pollers.spawn(async move {
             while !over.load(Ordering::Relaxed) {
                 if let Ok(response) = client.get(&url).send().await {
@@ -178,7 +191,11 @@ async fn readers_of_everything_hold_up_neither_a_stop_nor_other_readers() {
         let asked = async || {
             assert_eq!(stop(&service, &token).await.0, 200, "{path}");
             let request = service.request("GET", "/v1/powders").bearer_auth(&token).timeout(SOON);
-            assert_eq!(request.send().await.expect("a short answer comes soon").status(), 200, "{path}");
+            assert_eq!(
+                request.send().await.expect("a short answer comes soon").status(),
+                200,
+                "{path}"
+            );
         };
         while_polled(&service, 60, path, asked).await;
     }
@@ -189,7 +206,10 @@ async fn long_answers_are_whole_and_the_same_as_before() {
     let service = Service::start().await;
     fill(&service).await;
     let records: Vec<Value> = service.get("/v1/audit.json").await.json().await.unwrap();
-    assert!(records.len() >= 20_000 && records.windows(2).all(|two| two[0]["seq"].as_i64() < two[1]["seq"].as_i64()));
+    assert!(
+        records.len() >= 20_000
+            && records.windows(2).all(|two| two[0]["seq"].as_i64() < two[1]["seq"].as_i64())
+    );
     let lines = service.get("/v1/audit.csv").await.text().await.unwrap();
     assert_eq!(
         (lines.lines().next(), lines.lines().count()),
@@ -209,7 +229,8 @@ async fn a_stop_is_not_kept_waiting_by_its_own_body() {
     let token = service.token(Role::Operator).await;
     let begun = Arc::new(AtomicUsize::new(0));
     let request = service.request("POST", "/v1/bench/stop").bearer_auth(&token).timeout(SOON);
-    let response = request.body(reqwest::Body::wrap_stream(unfinished(&begun))).send().await.unwrap();
+    let response =
+        request.body(reqwest::Body::wrap_stream(unfinished(&begun))).send().await.unwrap();
     assert_eq!(response.status(), 200);
     assert_eq!(outcome(&service, &id).await, "stopped");
 }
@@ -235,7 +256,8 @@ async fn a_stop_needs_the_role_and_the_origin_that_it_always_needed() {
 /// The gRPC status of a call whose message never ends.
 async fn status_before_the_message(service: &Service, method: &str, token: Option<&str>) -> i32 {
     let begun = Arc::new(AtomicUsize::new(0));
-    let request = service.request("POST", method).header("content-type", "application/grpc").timeout(SOON);
+    let request =
+        service.request("POST", method).header("content-type", "application/grpc").timeout(SOON);
     let request = token.into_iter().fold(request, |request, token| request.bearer_auth(token));
     let response = request.body(reqwest::Body::wrap_stream(unfinished(&begun))).send().await;
     response.expect(method).headers()["grpc-status"].to_str().unwrap().parse().unwrap()
@@ -246,7 +268,8 @@ async fn a_grpc_method_asks_for_its_role_before_its_message_has_come() {
     let service = Service::start().await;
     let viewer = service.token(Role::Viewer).await;
     let mut refused = 0;
-    for method in methods().filter(|method| matches!(access(method), Some(Access::Least(role)) if role > Role::Viewer))
+    for method in methods()
+        .filter(|method| matches!(access(method), Some(Access::Least(role)) if role > Role::Viewer))
     {
         assert_eq!(status_before_the_message(&service, method, None).await, 16, "{method}");
         assert_eq!(status_before_the_message(&service, method, Some(&viewer)).await, 7, "{method}");
@@ -263,9 +286,13 @@ async fn no_grpc_method_is_refused_to_those_it_is_for() {
     let service = Service::start().await;
     let viewer = service.token(Role::Viewer).await;
     for method in methods() {
-        let request = service.request("POST", method).header("content-type", "application/grpc").bearer_auth(&viewer);
+        let request = service
+            .request("POST", method)
+            .header("content-type", "application/grpc")
+            .bearer_auth(&viewer);
         let answer = request.body(&b"\0\0\0\0\0"[..]).send().await.unwrap();
-        let status = answer.headers().get("grpc-status").map(|status| status.to_str().unwrap().to_owned());
+        let status =
+            answer.headers().get("grpc-status").map(|status| status.to_str().unwrap().to_owned());
         let reads = access(method) == Some(Access::Least(Role::Viewer));
         // The role required by the method itself is the same.
         assert_eq!(status.as_deref() != Some("7"), reads, "{method}: {status:?}");
@@ -314,7 +341,8 @@ async fn a_write_lock_that_another_process_holds_delays_no_stop() {
 fn stops_of_waiting(service: &Service, token: &str, ids: &[String], times: usize) -> JoinSet<u16> {
     let mut stops = JoinSet::new();
     for id in ids.iter().cycle().take(times) {
-        let request = service.request("POST", &format!("/v1/weighings/{id}/stop")).bearer_auth(token);
+        let request =
+            service.request("POST", &format!("/v1/weighings/{id}/stop")).bearer_auth(token);
         stops.spawn(async move { request.send().await.unwrap().status().as_u16() });
     }
     stops
@@ -336,7 +364,10 @@ async fn two_hundred_stops_of_waiting_weighings_behind_a_write_lock_delay_no_sto
         let held: Value = service.get("/v1/bench").await.json().await.unwrap();
         assert!(held["held"].is_null(), "stops of weighings that wait hold nothing: {held}");
     }
-    let request = service.request("POST", &format!("/v1/weighings/{moving}/stop")).bearer_auth(&token).timeout(SOON);
+    let request = service
+        .request("POST", &format!("/v1/weighings/{moving}/stop"))
+        .bearer_auth(&token)
+        .timeout(SOON);
     assert_eq!(request.send().await.expect("a stop of what moves is answered soon").status(), 202);
     for _ in 0..20 {
         let (status, bench) = stop(&service, &token).await;
@@ -363,7 +394,8 @@ async fn stops_of_waiting_weighings_leave_room_for_a_stop_of_the_bench_on_the_sa
     let channel = channel(&service).await;
     let mut stops = JoinSet::new();
     for _ in 0..200 {
-        let (mut client, message) = (WeighingsClient::new(channel.clone()), StopWeighingRequest { id: id.clone() });
+        let (mut client, message) =
+            (WeighingsClient::new(channel.clone()), StopWeighingRequest { id: id.clone() });
         let request = with_token(&token, message);
         stops.spawn(async move { client.stop_weighing(request).await });
     }
@@ -382,7 +414,11 @@ async fn stops_of_waiting_weighings_leave_room_for_a_stop_of_the_bench_on_the_sa
 fn ask_blocking(service: &Service, path: &str, token: &str) -> String {
     let mut connection = TcpStream::connect(("127.0.0.1", service.address.port())).unwrap();
     connection.set_read_timeout(Some(SOON)).unwrap();
-    write!(connection, "POST {path} HTTP/1.1\r\nhost: 127.0.0.1\r\nauthorization: Bearer {token}\r\n\r\n").unwrap();
+    write!(
+        connection,
+        "POST {path} HTTP/1.1\r\nhost: 127.0.0.1\r\nauthorization: Bearer {token}\r\n\r\n"
+    )
+    .unwrap();
     let mut line = String::new();
     BufReader::new(connection).read_line(&mut line).expect("a stop is answered soon");
     line
@@ -422,7 +458,9 @@ impl Confined {
     fn start(files: usize) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let log = folder.path().join("log");
-        let command = format!("ulimit -n {files}; exec \"$0\" serve --json --listen 127.0.0.1:0 --data-dir \"$1\"");
+        let command = format!(
+            "ulimit -n {files}; exec \"$0\" serve --json --listen 127.0.0.1:0 --data-dir \"$1\""
+        );
         let mut process = Command::new("sh")
             .args(["-c", &command, env!("CARGO_BIN_EXE_flip")])
             .arg(folder.path().join("data"))
@@ -430,7 +468,9 @@ impl Confined {
             .stderr(std::fs::File::create(&log).unwrap())
             .spawn()
             .unwrap();
-        let said = serde_json::Deserializer::from_reader(process.stdout.take().unwrap()).into_iter::<Value>().next();
+        let said = serde_json::Deserializer::from_reader(process.stdout.take().unwrap())
+            .into_iter::<Value>()
+            .next();
         let said = said.expect("the service says where it is").unwrap();
         let text = |key: &str| said[key].as_str().unwrap().to_owned();
         Self { process, url: text("url"), token: text("token"), log, _folder: folder }
@@ -441,7 +481,9 @@ impl Confined {
     }
 
     async fn stop(&self) -> u16 {
-        let request = reqwest::Client::new().post(format!("{}/v1/bench/stop", self.url)).bearer_auth(&self.token);
+        let request = reqwest::Client::new()
+            .post(format!("{}/v1/bench/stop", self.url))
+            .bearer_auth(&self.token);
         request.timeout(SOON).send().await.expect("a stop is answered soon").status().as_u16()
     }
 }

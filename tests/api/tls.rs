@@ -19,11 +19,14 @@ fn certificate(folder: &std::path::Path) -> (Tls, String) {
 async fn with_a_certificate_the_service_answers_encrypted_on_any_address() {
     let folder = tempfile::tempdir().unwrap();
     let (tls, root) = certificate(folder.path());
-    let config = ServeConfig { listen: "0.0.0.0:0".parse().unwrap(), tls: Some(tls), insecure_lan: false };
+    let config =
+        ServeConfig { listen: "0.0.0.0:0".parse().unwrap(), tls: Some(tls), insecure_lan: false };
     let service = Service::start_at(config).await;
-    let trust = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(root)).domain_name("localhost");
+    let trust =
+        ClientTlsConfig::new().ca_certificate(Certificate::from_pem(root)).domain_name("localhost");
     let url = format!("https://127.0.0.1:{}", service.address.port());
-    let channel = Channel::from_shared(url).unwrap().tls_config(trust).unwrap().connect().await.unwrap();
+    let channel =
+        Channel::from_shared(url).unwrap().tls_config(trust).unwrap().connect().await.unwrap();
     let answer = HealthClient::new(channel).check(HealthCheckRequest::default()).await.unwrap();
     assert_eq!(answer.into_inner().status, 1);
     // Nothing is answered in plain text.
@@ -36,7 +39,8 @@ async fn files_that_are_no_certificate_are_refused() {
     let (tls, _) = certificate(folder.path());
     std::fs::write(&tls.key, "no key").unwrap();
     let service = Service::start().await;
-    let config = ServeConfig { tls: Some(tls), ..ServeConfig::loopback("127.0.0.1:0".parse().unwrap()) };
+    let config =
+        ServeConfig { tls: Some(tls), ..ServeConfig::loopback("127.0.0.1:0".parse().unwrap()) };
     let server = bind(service.app.clone(), config).unwrap();
     assert!(matches!(server.run(std::future::pending()).await, Err(ServeError::Tls(_))));
 }

@@ -14,13 +14,22 @@ use tonic::Code;
 
 async fn may_write(service: &Service, token: &str, powder: &str) -> u16 {
     let new = json!({ "id": powder, "name": powder });
-    service.request("POST", "/v1/powders").bearer_auth(token).json(&new).send().await.unwrap().status().as_u16()
+    service
+        .request("POST", "/v1/powders")
+        .bearer_auth(token)
+        .json(&new)
+        .send()
+        .await
+        .unwrap()
+        .status()
+        .as_u16()
 }
 
 /// Bodies of records of persons' actions, newest first.
 async fn deeds(service: &Service) -> Vec<Value> {
     let page: Value = service.get("/v1/audit?limit=200").await.json().await.unwrap();
-    let records = page["items"].as_array().unwrap().iter().filter(|record| record["kind"] == "person");
+    let records =
+        page["items"].as_array().unwrap().iter().filter(|record| record["kind"] == "person");
     records.map(|record| record["body"].clone()).collect()
 }
 
@@ -45,10 +54,16 @@ async fn tokens_are_listed_without_their_secrets_and_end_when_they_are_revoked()
     let service = Service::start().await;
     let admin = service.token(Role::Admin).await;
     let as_admin = |method: &str, path: &str| service.request(method, path).bearer_auth(&admin);
-    let new = json!({ "name": "robot", "role": "operator", "may_clear": true, "expires_in_s": 3600 });
-    let made: Value = as_admin("POST", "/v1/tokens").json(&new).send().await.unwrap().json().await.unwrap();
+    let new =
+        json!({ "name": "robot", "role": "operator", "may_clear": true, "expires_in_s": 3600 });
+    let made: Value =
+        as_admin("POST", "/v1/tokens").json(&new).send().await.unwrap().json().await.unwrap();
     let (id, secret) = (made["id"].as_str().unwrap(), made["secret"].as_str().unwrap());
-    assert_eq!((made["may_clear"].as_bool(), made["expires_at"].is_string()), (Some(true), true), "{made}");
+    assert_eq!(
+        (made["may_clear"].as_bool(), made["expires_at"].is_string()),
+        (Some(true), true),
+        "{made}"
+    );
     assert_eq!(may_write(&service, secret, "flour").await, 201);
 
     let list = as_admin("GET", "/v1/tokens").send().await.unwrap().text().await.unwrap();
@@ -79,7 +94,8 @@ async fn follow(service: &Service, weighing: &str, token: &str, then: impl Async
         assert_eq!(stream.status(), 200);
         stream
     };
-    let (all, one) = (sse("/v1/events").await, sse(&format!("/v1/weighings/{weighing}/events")).await);
+    let (all, one) =
+        (sse("/v1/events").await, sse(&format!("/v1/weighings/{weighing}/events")).await);
     let mut client = WeighingsClient::connect(service.url("")).await.unwrap();
     let asked = with_token(token, WatchRequest { id: weighing.to_owned(), after_seq: 0 });
     let mut watch = client.watch_weighing(asked).await.unwrap().into_inner();
@@ -93,7 +109,8 @@ async fn follow(service: &Service, weighing: &str, token: &str, then: impl Async
         }
     };
     let ended = async { tokio::join!(all.text(), one.text(), grpc) };
-    let (all, one, grpc) = tokio::time::timeout(Duration::from_secs(10), ended).await.expect("streams end");
+    let (all, one, grpc) =
+        tokio::time::timeout(Duration::from_secs(10), ended).await.expect("streams end");
     assert!(all.is_ok() && one.unwrap().contains("event:"));
     assert_eq!(grpc.code(), Code::Unauthenticated, "{grpc}");
 }
@@ -102,28 +119,49 @@ async fn follow(service: &Service, weighing: &str, token: &str, then: impl Async
 async fn streams_of_events_end_when_their_token_expires_or_is_revoked_here_or_elsewhere() {
     let service = Service::ready().await;
     let _held = service.hold_bench();
-    let (target, tolerance) = (json!({ "value": 15, "unit": "mg" }), json!({ "lower": 1, "upper": 1, "unit": "mg" }));
+    let (target, tolerance) =
+        (json!({ "value": 15, "unit": "mg" }), json!({ "lower": 1, "upper": 1, "unit": "mg" }));
     let body = json!({ "powder": "salt", "target": target, "tolerance": tolerance });
     let weighing: Value = service.weigh("followed", &body).await.json().await.unwrap();
     let weighing = weighing["id"].as_str().unwrap();
     let id = |secret: &str| secret.split('_').nth(1).unwrap().to_owned();
 
     let secret = service.token(Role::Viewer).await;
-    follow(&service, weighing, &secret, async || drop(service.app.revoke_token(&id(&secret)).await.unwrap())).await;
+    follow(&service, weighing, &secret, async || {
+        drop(service.app.revoke_token(&id(&secret)).await.unwrap())
+    })
+    .await;
     let other = App::open_beside(service.folder()).await.unwrap();
     let secret = service.token(Role::Admin).await;
-    follow(&service, weighing, &secret, async || drop(other.revoke_token(&id(&secret)).await.unwrap())).await;
+    follow(&service, weighing, &secret, async || {
+        drop(other.revoke_token(&id(&secret)).await.unwrap())
+    })
+    .await;
     other.shutdown().await.unwrap();
-    let soon = NewToken { name: "soon".into(), role: Role::Operator, may_clear: false, expires_in_s: Some(1) };
+    let soon = NewToken {
+        name: "soon".into(),
+        role: Role::Operator,
+        may_clear: false,
+        expires_in_s: Some(1),
+    };
     let (_, secret) = service.app.make_token(&soon).await.unwrap();
     follow(&service, weighing, &secret, async || {}).await;
 
     // Other tokens' streams continue.
     let secret = service.token(Role::Viewer).await;
-    let mut mine =
-        service.request("GET", "/v1/events").bearer_auth(service.token(Role::Viewer).await).send().await.unwrap();
+    let mut mine = service
+        .request("GET", "/v1/events")
+        .bearer_auth(service.token(Role::Viewer).await)
+        .send()
+        .await
+        .unwrap();
     service.app.revoke_token(&id(&secret)).await.unwrap();
-    service.request("POST", "/v1/bench/stop").bearer_auth(service.token(Role::Operator).await).send().await.unwrap();
+    service
+        .request("POST", "/v1/bench/stop")
+        .bearer_auth(service.token(Role::Operator).await)
+        .send()
+        .await
+        .unwrap();
     assert!(mine.chunk().await.unwrap().is_some());
 }
 
@@ -133,8 +171,12 @@ async fn the_record_names_who_made_and_ended_a_token_and_who_changed_the_data() 
     let admin = service.app.create_token("Ada", Role::Admin).await.unwrap();
     let as_admin = |method: &str, path: &str| service.request(method, path).bearer_auth(&admin);
     let new = json!({ "name": "robot", "role": "operator" });
-    let made: Value = as_admin("POST", "/v1/tokens").json(&new).send().await.unwrap().json().await.unwrap();
-    as_admin("DELETE", &format!("/v1/tokens/{}", made["id"].as_str().unwrap())).send().await.unwrap();
+    let made: Value =
+        as_admin("POST", "/v1/tokens").json(&new).send().await.unwrap().json().await.unwrap();
+    as_admin("DELETE", &format!("/v1/tokens/{}", made["id"].as_str().unwrap()))
+        .send()
+        .await
+        .unwrap();
     let flour = json!({ "id": "flour", "name": "Flour" });
     as_admin("POST", "/v1/powders").json(&flour).send().await.unwrap();
     let measured = json!({ "method": "manual", "repose_deg": 40, "sd_deg": 1, "n": 3 });
@@ -147,13 +189,27 @@ async fn the_record_names_who_made_and_ended_a_token_and_who_changed_the_data() 
         .json()
         .await
         .unwrap();
-    as_admin("POST", &format!("/v1/jobs/{}/cancel", job["id"].as_str().unwrap())).send().await.unwrap();
+    as_admin("POST", &format!("/v1/jobs/{}/cancel", job["id"].as_str().unwrap()))
+        .send()
+        .await
+        .unwrap();
 
     let deeds = deeds(&service).await;
-    for action in ["new token", "revoke token", "new powder", "new measurement", "start calibration", "cancel job"] {
+    for action in [
+        "new token",
+        "revoke token",
+        "new powder",
+        "new measurement",
+        "start calibration",
+        "cancel job",
+    ] {
         let deed = deeds.iter().find(|deed| deed["action"] == action && deed["who"].is_object());
         let deed = deed.unwrap_or_else(|| panic!("nobody did `{action}` in {deeds:#?}"));
-        assert_eq!((&deed["who"]["name"], &deed["who"]["role"]), (&json!("Ada"), &json!("admin")), "{deed}");
+        assert_eq!(
+            (&deed["who"]["name"], &deed["who"]["role"]),
+            (&json!("Ada"), &json!("admin")),
+            "{deed}"
+        );
     }
     let text = serde_json::to_string(&deeds).unwrap();
     assert!(!text.contains(made["secret"].as_str().unwrap()) && !text.contains(&admin));
@@ -185,11 +241,21 @@ async fn grpc_makes_lists_and_ends_tokens_for_admins_alone() {
     let made = client.create_token(with_token(&admin, new)).await.unwrap().into_inner();
     assert!(service.app.authenticate(&made.secret).is_some());
     let id = made.token.unwrap().id;
-    let list = client.list_tokens(with_token(&admin, ListTokensRequest::default())).await.unwrap().into_inner();
+    let list = client
+        .list_tokens(with_token(&admin, ListTokensRequest::default()))
+        .await
+        .unwrap()
+        .into_inner();
     assert!(list.items.iter().any(|token| token.id == id && token.revoked_at.is_none()));
-    let ended =
-        client.revoke_token(with_token(&admin, RevokeTokenRequest { id: id.clone() })).await.unwrap().into_inner();
+    let ended = client
+        .revoke_token(with_token(&admin, RevokeTokenRequest { id: id.clone() }))
+        .await
+        .unwrap()
+        .into_inner();
     assert!(ended.revoked_at.is_some() && service.app.authenticate(&made.secret).is_none());
     let unknown = CreateTokenRequest { name: "robot".into(), ..CreateTokenRequest::default() };
-    assert_eq!(client.create_token(with_token(&admin, unknown)).await.unwrap_err().code(), Code::InvalidArgument);
+    assert_eq!(
+        client.create_token(with_token(&admin, unknown)).await.unwrap_err().code(),
+        Code::InvalidArgument
+    );
 }

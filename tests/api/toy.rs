@@ -71,7 +71,8 @@ impl Bench {
             let mass_mg = pouring.order.target_mg * f64::from(step) / 2.0;
             let action = Action { incline_change_deg: 1.0, shake_mm: 4.0 };
             let (t_s, pitch_deg) = (f64::from(step) * 0.7, f64::from(step));
-            let tick = Tick { step, t_s, pitch_deg, action, reading: Reading { mass_mg, stable: true } };
+            let tick =
+                Tick { step, t_s, pitch_deg, action, reading: Reading { mass_mg, stable: true } };
             let _recorded = on_event(&Event::Tick(&tick));
             ticks.push(tick);
         }
@@ -119,7 +120,9 @@ fn fixed_policy() -> (String, String, Vec<u8>) {
 
 /// The database of a data folder, opened by anyone with the file.
 pub async fn database(data_dir: &Path) -> SqlitePool {
-    let options = SqliteConnectOptions::new().filename(data_dir.join("flip.db")).busy_timeout(Duration::from_secs(5));
+    let options = SqliteConnectOptions::new()
+        .filename(data_dir.join("flip.db"))
+        .busy_timeout(Duration::from_secs(5));
     SqlitePool::connect_with(options).await.unwrap()
 }
 

@@ -31,7 +31,8 @@ async fn until_ready_is(service: &Service, status: u16) -> Value {
 }
 
 async fn until_health_is(service: &Service, name: &str, status: ServingStatus) {
-    let channel = tonic::transport::Endpoint::from_shared(service.url("")).unwrap().connect().await.unwrap();
+    let channel =
+        tonic::transport::Endpoint::from_shared(service.url("")).unwrap().connect().await.unwrap();
     let mut client = HealthClient::new(channel);
     let request = HealthCheckRequest { service: name.to_owned() };
     while client.check(request.clone()).await.unwrap().into_inner().status() != status {
@@ -44,15 +45,30 @@ async fn a_database_that_another_program_locks_is_a_503_that_says_so_and_ends_wi
     let service = Service::start().await;
     let token = service.token(Role::Operator).await;
     let measured = json!({ "method": "manual", "repose_deg": 40, "sd_deg": 1, "n": 3 });
-    let post = || service.request("POST", "/v1/powders/salt/measurements").bearer_auth(&token).json(&measured).send();
+    let post = || {
+        service
+            .request("POST", "/v1/powders/salt/measurements")
+            .bearer_auth(&token)
+            .json(&measured)
+            .send()
+    };
     let mut other = locked(&service).await;
     let response = post().await.unwrap();
     assert!(response.headers().contains_key("retry-after"));
     let refused = problem(response, 503).await;
-    assert!(refused["detail"].as_str().unwrap().contains("another program holds the database"), "{refused}");
+    assert!(
+        refused["detail"].as_str().unwrap().contains("another program holds the database"),
+        "{refused}"
+    );
     let told = until_ready_is(&service, 503).await;
-    assert_eq!((&told["checks"]["database"]["ok"], &told["checks"]["disk"]["ok"]), (&json!(false), &json!(true)));
-    assert!(told["checks"]["database"]["why"].as_str().unwrap().contains("another program holds"), "{told}");
+    assert_eq!(
+        (&told["checks"]["database"]["ok"], &told["checks"]["disk"]["ok"]),
+        (&json!(false), &json!(true))
+    );
+    assert!(
+        told["checks"]["database"]["why"].as_str().unwrap().contains("another program holds"),
+        "{told}"
+    );
     until_health_is(&service, "flip.v1.Powders", ServingStatus::NotServing).await;
 
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
@@ -70,10 +86,16 @@ async fn a_latched_bench_is_named_and_only_what_needs_it_is_not_served() {
         assert!(names.contains(&name) && ready["checks"][name]["ok"] == true, "{ready}");
     }
     let pool = database(service.folder()).await;
-    sqlx::query("INSERT INTO latch (at, reason) VALUES (1, 'the arm was pushed')").execute(&pool).await.unwrap();
+    sqlx::query("INSERT INTO latch (at, reason) VALUES (1, 'the arm was pushed')")
+        .execute(&pool)
+        .await
+        .unwrap();
     let told = until_ready_is(&service, 503).await;
     assert_eq!((&told["ready"], &told["checks"]["bench"]["ok"]), (&json!(false), &json!(false)));
-    assert!(told["checks"]["bench"]["why"].as_str().unwrap().contains("the arm was pushed"), "{told}");
+    assert!(
+        told["checks"]["bench"]["why"].as_str().unwrap().contains("the arm was pushed"),
+        "{told}"
+    );
     until_health_is(&service, "", ServingStatus::NotServing).await;
     until_health_is(&service, "flip.v1.Weighings", ServingStatus::NotServing).await;
     until_health_is(&service, "flip.v1.Powders", ServingStatus::Serving).await;
@@ -88,7 +110,8 @@ async fn a_data_folder_that_is_replaced_is_noticed_and_nothing_is_written_into_t
     let told = until_ready_is(&service, 503).await;
     assert_eq!(told["checks"]["folder"]["ok"], false, "{told}");
     let new = json!({ "id": "flour", "name": "Flour" });
-    let refused = service.request("POST", "/v1/powders").bearer_auth(&token).json(&new).send().await.unwrap();
+    let refused =
+        service.request("POST", "/v1/powders").bearer_auth(&token).json(&new).send().await.unwrap();
     let refused = problem(refused, 503).await;
     assert!(refused["detail"].as_str().unwrap().contains("removed or replaced"), "{refused}");
     assert!(!database.exists(), "and no new database is made in its place");

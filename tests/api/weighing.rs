@@ -43,7 +43,8 @@ async fn a_weighing_is_planned_poured_and_kept_with_its_trace() {
 async fn a_hundred_requests_with_one_key_pour_once() {
     let service = Service::ready().await;
     let body = request(15.0);
-    let responses = futures::future::join_all((0..100).map(|_| service.weigh("one-key", &body))).await;
+    let responses =
+        futures::future::join_all((0..100).map(|_| service.weigh("one-key", &body))).await;
     let mut ids = HashSet::new();
     let mut replays = 0;
     for response in responses {
@@ -56,7 +57,10 @@ async fn a_hundred_requests_with_one_key_pour_once() {
     service.watch(&format!("/v1/weighings/{id}/events"), None).await.unwrap();
     // A second weighing is queued behind every pour that the first could have caused.
     let second: Value = service.weigh("another-key", &body).await.json().await.unwrap();
-    service.watch(&format!("/v1/weighings/{}/events", second["id"].as_str().unwrap()), None).await.unwrap();
+    service
+        .watch(&format!("/v1/weighings/{}/events", second["id"].as_str().unwrap()), None)
+        .await
+        .unwrap();
     assert_eq!(service.pours(), 2);
     let list: Value = service.get("/v1/weighings").await.json().await.unwrap();
     assert_eq!(list["items"].as_array().unwrap().len(), 2);
@@ -79,13 +83,20 @@ async fn sixty_four_weighings_wait_and_the_next_is_refused() {
     let first: Value = service.weigh("moves", &request(15.0)).await.json().await.unwrap();
     service.until_pouring().await;
     for index in 0..64 {
-        assert_eq!(service.weigh(&format!("waits-{index}"), &request(15.0)).await.status(), 202, "{index}");
+        assert_eq!(
+            service.weigh(&format!("waits-{index}"), &request(15.0)).await.status(),
+            202,
+            "{index}"
+        );
     }
     let refused = problem(service.weigh("too-many", &request(15.0)).await, 409).await;
     assert_eq!(refused["type"], "urn:flip:problem:queue-full");
     let token = service.token(Role::Operator).await;
     let stop = format!("/v1/weighings/{}/stop", first["id"].as_str().unwrap());
-    assert_eq!(service.request("POST", &stop).bearer_auth(&token).send().await.unwrap().status(), 202);
+    assert_eq!(
+        service.request("POST", &stop).bearer_auth(&token).send().await.unwrap().status(),
+        202
+    );
     drop(hold);
 }
 
@@ -101,7 +112,8 @@ async fn events_resume_where_the_watcher_left_off() {
     assert!(all.iter().all(|event| event.data["seq"] == event.id));
 
     for (seen, id) in seqs.iter().enumerate().take(seqs.len() - 1) {
-        let rest: Vec<i64> = service.watch(&path, Some(*id)).await.unwrap().iter().map(|event| event.id).collect();
+        let rest: Vec<i64> =
+            service.watch(&path, Some(*id)).await.unwrap().iter().map(|event| event.id).collect();
         assert_eq!(rest, seqs[seen + 1..]);
     }
     // 204 tells a browser not to reconnect.
@@ -114,7 +126,8 @@ async fn pages_of_weighings_follow_each_other_by_their_links() {
     let service = Service::ready().await;
     let mut made = Vec::new();
     for index in 0..5 {
-        let weighing: Value = service.weigh(&format!("key-{index}"), &request(15.0)).await.json().await.unwrap();
+        let weighing: Value =
+            service.weigh(&format!("key-{index}"), &request(15.0)).await.json().await.unwrap();
         made.push(weighing["id"].as_str().unwrap().to_owned());
     }
     let (mut listed, mut path) = (Vec::new(), "/v1/weighings?limit=2".to_owned());

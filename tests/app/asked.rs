@@ -22,14 +22,16 @@ fn latched(recovering: impl Fn() + Send + Sync + 'static) -> (Functions, Arc<Ato
     let (is_latched, recovered) = (Arc::new(AtomicBool::new(true)), Arc::new(AtomicUsize::new(0)));
     let mut bench: Apparatus = emulated_bench(Default::default());
     let (asks, counts) = (is_latched.clone(), recovered.clone());
-    bench.arm_latch = Arc::new(move || Ok(asks.load(Ordering::SeqCst).then(|| "its reflex".to_owned())));
+    bench.arm_latch =
+        Arc::new(move || Ok(asks.load(Ordering::SeqCst).then(|| "its reflex".to_owned())));
     bench.recover = Arc::new(move |_| {
         counts.fetch_add(1, Ordering::SeqCst);
         recovering();
         is_latched.store(false, Ordering::SeqCst);
         Ok(())
     });
-    bench.pour = Arc::new(|pouring, on_event: OnEvent<'_>, stop: &AtomicBool| pour(pouring, on_event, stop));
+    bench.pour =
+        Arc::new(|pouring, on_event: OnEvent<'_>, stop: &AtomicBool| pour(pouring, on_event, stop));
     (Functions { bench: Some(bench), ..functions() }, recovered)
 }
 
@@ -75,7 +77,11 @@ async fn a_vial_that_was_said_to_be_in_before_a_stop_is_not_poured_into_after_it
     // The lane has polled since: it finds another one waiting.
     let _second = asked(&app, "B").await;
     assert_eq!(app.weighing(&id).await.unwrap().weighing.state, WeighingState::AwaitingVial);
-    assert_eq!((laboratory.arm.log().len(), laboratory.dispensed_mg()), (0, 0.0), "nothing has moved");
+    assert_eq!(
+        (laboratory.arm.log().len(), laboratory.dispensed_mg()),
+        (0, 0.0),
+        "nothing has moved"
+    );
     app.vial_ready(&id, said("A")).await.unwrap();
     assert_eq!(done(&app, &id).await.state, WeighingState::Done);
     app.shutdown().await.unwrap();
@@ -131,7 +137,8 @@ async fn a_stop_while_a_clear_is_under_way_wins() {
 
 /// Latches the bench in the store, without the knowledge of the process that serves it.
 async fn latch(other: &sqlx::SqlitePool) {
-    let sql = "INSERT INTO latch (at, reason, bench) VALUES (0, 'a dose was interrupted', 'emulated')";
+    let sql =
+        "INSERT INTO latch (at, reason, bench) VALUES (0, 'a dose was interrupted', 'emulated')";
     sqlx::query(sql).execute(other).await.unwrap();
 }
 
@@ -183,8 +190,12 @@ async fn of_two_who_reserve_at_once_one_has_the_bench() {
     let (folder, app) = open(functions()).await;
     let other = another_program(folder.path()).await;
     let holding = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
-    let (mut ada, mut bob) = (pin!(app.reserve_bench(reservation("Ada"))), pin!(app.reserve_bench(reservation("Bob"))));
-    assert!(poll!(&mut ada).is_pending() && poll!(&mut bob).is_pending(), "both wait for the other program");
+    let (mut ada, mut bob) =
+        (pin!(app.reserve_bench(reservation("Ada"))), pin!(app.reserve_bench(reservation("Bob"))));
+    assert!(
+        poll!(&mut ada).is_pending() && poll!(&mut bob).is_pending(),
+        "both wait for the other program"
+    );
     holding.rollback().await.unwrap();
     let (ada, bob) = tokio::join!(ada, bob);
     assert_eq!(code(bob), "bench_reserved");
@@ -200,15 +211,21 @@ async fn a_weighing_and_a_reservation_that_are_asked_at_once_are_not_both_taken(
     calibrated(&app, "sand").await;
     for k in 0..20 {
         let key = format!("w-{k}");
-        let (weighing, reserved) =
-            tokio::join!(app.start_weighing(mg("sand", 5.0), &key), app.reserve_bench(reservation("Ada")));
+        let (weighing, reserved) = tokio::join!(
+            app.start_weighing(mg("sand", 5.0), &key),
+            app.reserve_bench(reservation("Ada"))
+        );
         match (weighing, reserved) {
             (Ok((weighing, _)), refused) => {
                 // The weighing may have ended before anyone looked.
                 let ended = done(&app, &weighing.id).await;
                 match refused {
                     Ok(reserved) => {
-                        assert!(ended.finished_at.unwrap().unix_ms() <= reserved.until.unix_ms() - 600_000, "{k}");
+                        assert!(
+                            ended.finished_at.unwrap().unix_ms()
+                                <= reserved.until.unix_ms() - 600_000,
+                            "{k}"
+                        );
                         app.release_bench(&reserved.id).await.unwrap();
                     }
                     refused => assert_eq!(code(refused), "bench_in_use"),
@@ -244,7 +261,10 @@ async fn a_restored_folder_begins_none_of_its_planned_doses_before_a_person_resu
     let app = open_in(&back, gate.functions()).await;
     let found = app.bench().await.unwrap();
     let why = found.held.expect("a person must look").reason;
-    assert!(why.starts_with("restored from a backup of ") && why.contains("look before resuming"), "{why}");
+    assert!(
+        why.starts_with("restored from a backup of ") && why.contains("look before resuming"),
+        "{why}"
+    );
     assert_eq!((made.held, found.waiting.len()), (Some(why), 1));
     // The lane has polled since: it finds this one at once.
     let later = app.start_weighing(mg("sand", 7.0), "later").await.unwrap().0.id;

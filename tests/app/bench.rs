@@ -23,12 +23,20 @@ pub fn resume() -> ResumeRequest {
 }
 
 pub fn clear(resume: bool) -> ClearRequest {
-    ClearRequest { by: "Ada".into(), note: "vial exchanged".into(), looked: true, vial_ready: true, resume }
+    ClearRequest {
+        by: "Ada".into(),
+        note: "vial exchanged".into(),
+        looked: true,
+        vial_ready: true,
+        resume,
+    }
 }
 
 /// Another program that holds the database's write lock.
 pub async fn another_program(folder: &Path) -> SqlitePool {
-    SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.join("flip.db"))).await.unwrap()
+    SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.join("flip.db")))
+        .await
+        .unwrap()
 }
 
 /// What people did to the bench, oldest first.
@@ -49,7 +57,10 @@ async fn after_a_stop_the_next_queued_dose_begins_only_when_a_person_resumes() {
     until("the first moves", async || gate.pours.load(Ordering::SeqCst) == 1).await;
     let held = app.stop_bench().await.unwrap();
     assert!(held.held.as_ref().unwrap().reason.contains(&moving), "{held:?}");
-    assert_eq!(held.waiting.iter().map(|it| (it.id.as_str(), it.target_mg)).collect::<Vec<_>>(), [(&*waiting, 6.0)]);
+    assert_eq!(
+        held.waiting.iter().map(|it| (it.id.as_str(), it.target_mg)).collect::<Vec<_>>(),
+        [(&*waiting, 6.0)]
+    );
     assert_eq!(done(&app, &moving).await.outcome, Some(Outcome::Stopped));
     gate.open();
     // The lane has polled since: it finds the waiting one at once, and polls again for this one.
@@ -90,7 +101,8 @@ async fn a_stop_while_nothing_moves_holds_too_also_over_a_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stop_is_answered_from_memory_while_another_program_holds_the_database_and_recorded_later() {
+async fn a_stop_is_answered_from_memory_while_another_program_holds_the_database_and_recorded_later()
+ {
     let gate = Arc::new(Gate::default());
     let (folder, app) = open(gate.functions()).await;
     calibrated(&app, "sand").await;
@@ -118,7 +130,8 @@ async fn two_clients_do_not_mix_while_one_has_reserved_the_bench() {
     let folder = tempfile::tempdir().unwrap();
     let app = open_in(folder.path(), gate.functions()).await;
     calibrated(&app, "sand").await;
-    let asked = |seconds: u32, id: Option<String>| ReservationRequest { owner: "Ada".into(), seconds, id };
+    let asked =
+        |seconds: u32, id: Option<String>| ReservationRequest { owner: "Ada".into(), seconds, id };
     assert!(matches!(app.reserve_bench(asked(0, None)).await, Err(Error::Invalid(_))));
     let reserved = app.reserve_bench(asked(600, None)).await.unwrap();
     assert!(reserved.id.starts_with("rs-"));
@@ -128,7 +141,10 @@ async fn two_clients_do_not_mix_while_one_has_reserved_the_bench() {
     own.reservation = Some(reserved.id.clone());
     let own_id = app.start_weighing(own.clone(), "own").await.unwrap().0.id;
     assert_eq!(done(&app, &own_id).await.outcome, Some(Outcome::Within));
-    assert!(app.start_weighing(own.clone(), "own").await.unwrap().1, "a repeated request is no new one");
+    assert!(
+        app.start_weighing(own.clone(), "own").await.unwrap().1,
+        "a repeated request is no new one"
+    );
     app.shutdown().await.unwrap();
     drop(app);
     // It survives a restart, because others would not know that it was lost.

@@ -1,6 +1,8 @@
 //! Calibrations: requested twice, resumed, cancelled, refused.
 
-use crate::harness::{PATIENCE, calibrated, calibration_of, ended, functions, heap, open, open_in, until};
+use crate::harness::{
+    PATIENCE, calibrated, calibration_of, ended, functions, heap, open, open_in, until,
+};
 use flip::app::{App, CalibrationMethod, CalibrationRequest};
 use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
 use flip_core::domain::observable::{Observable, Observation};
@@ -44,7 +46,8 @@ async fn asking_again_finds_the_job_that_did_it_and_a_failed_one_is_done_anew() 
     let (other, created) = app.start_calibration(calibration_of("sand", 2)).await.unwrap();
     assert!(created && other.id != job.id);
     // Ten trials cannot find a hundred sets.
-    let hopeless = CalibrationRequest { sets: Some(100), trials_max: Some(10), ..calibration_of("sand", 1) };
+    let hopeless =
+        CalibrationRequest { sets: Some(100), trials_max: Some(10), ..calibration_of("sand", 1) };
     let (failing, _) = app.start_calibration(hopeless.clone()).await.unwrap();
     let failed = ended(&app, &failing.id).await;
     assert_eq!(failed.state, JobState::Failed);
@@ -82,7 +85,10 @@ async fn a_shut_down_calibration_resumes_and_ends_as_if_it_had_never_stopped() {
     assert_eq!(app.calibration(&job.id).await.unwrap().result.unwrap(), whole_result);
     assert_eq!(all_trials(&app, &job.id).await, all_trials(&undisturbed, &whole.id).await);
     let repeated = simulated.load(Ordering::SeqCst) - all_trials(&app, &job.id).await.len();
-    assert!(repeated <= 4, "{repeated} trials were simulated twice; only a batch that was not saved may be");
+    assert!(
+        repeated <= 4,
+        "{repeated} trials were simulated twice; only a batch that was not saved may be"
+    );
     app.shutdown().await.unwrap();
     undisturbed.shutdown().await.unwrap();
 }
@@ -103,8 +109,14 @@ async fn a_running_calibration_is_cancelled_between_two_trials_and_a_waiting_one
     assert_eq!(app.cancel_job(&waiting.id).await.unwrap().state, JobState::Cancelled);
     assert!(app.cancel_job(&running.id).await.unwrap().cancelling);
     assert_eq!(ended(&app, &running.id).await.state, JobState::Cancelled);
-    assert!(matches!(app.cancel_job(&running.id).await, Err(Error::Conflict { code: "job_finished", .. })));
-    assert!(matches!(app.cancel_job("no-such-job").await, Err(Error::NotFound { what: "job", .. })));
+    assert!(matches!(
+        app.cancel_job(&running.id).await,
+        Err(Error::Conflict { code: "job_finished", .. })
+    ));
+    assert!(matches!(
+        app.cancel_job("no-such-job").await,
+        Err(Error::NotFound { what: "job", .. })
+    ));
     app.shutdown().await.unwrap();
 }
 
@@ -112,16 +124,30 @@ async fn a_running_calibration_is_cancelled_between_two_trials_and_a_waiting_one
 async fn followers_hear_every_trial_once_and_resume_where_they_stopped() {
     let (_folder, app) = open(functions()).await;
     let job = calibrated(&app, "sand").await;
-    let events: Vec<_> = app.events(Topic::Job(job.id.clone()), 0).await.unwrap().map(Result::unwrap).collect().await;
+    let events: Vec<_> = app
+        .events(Topic::Job(job.id.clone()), 0)
+        .await
+        .unwrap()
+        .map(Result::unwrap)
+        .collect()
+        .await;
     assert!(events.windows(2).all(|pair| pair[0].seq < pair[1].seq));
     let trials = events.iter().filter(|event| event.kind == "trial").count();
     assert_eq!(trials, all_trials(&app, &job.id).await.len());
-    assert_eq!(events.iter().filter(|event| event.kind == "progress").count(), 1, "only the newest progress is kept");
-    let states: Vec<&str> =
-        events.iter().filter(|e| e.kind == "state").map(|e| e.data["state"].as_str().unwrap()).collect();
+    assert_eq!(
+        events.iter().filter(|event| event.kind == "progress").count(),
+        1,
+        "only the newest progress is kept"
+    );
+    let states: Vec<&str> = events
+        .iter()
+        .filter(|e| e.kind == "state")
+        .map(|e| e.data["state"].as_str().unwrap())
+        .collect();
     assert_eq!(states, ["queued", "running", "succeeded"]);
     let middle = events[events.len() / 2].seq;
-    let rest: Vec<_> = app.events(Topic::Job(job.id), middle).await.unwrap().map(Result::unwrap).collect().await;
+    let rest: Vec<_> =
+        app.events(Topic::Job(job.id), middle).await.unwrap().map(Result::unwrap).collect().await;
     assert_eq!(rest, events[events.len() / 2 + 1..]);
     app.shutdown().await.unwrap();
 }
@@ -136,10 +162,20 @@ async fn requests_that_cannot_be_met_name_the_field_and_store_nothing() {
     assert_eq!(refused(calibration_of("flour", 1)).await, "powder");
     assert_eq!(refused(calibration_of("../etc", 1)).await, "powder");
     assert_eq!(refused(CalibrationRequest::default()).await, "powder");
-    assert_eq!(refused(CalibrationRequest { repose_deg: Some(30.0), ..calibration_of("sand", 1) }).await, "powder");
-    assert_eq!(refused(CalibrationRequest { repose_deg: Some(f64::NAN), ..Default::default() }).await, "repose_deg");
-    assert_eq!(refused(CalibrationRequest { sets: Some(0), ..calibration_of("sand", 1) }).await, "sets");
-    let bad_tolerance = CalibrationRequest { tolerance_deg: Some(f64::INFINITY), ..calibration_of("sand", 1) };
+    assert_eq!(
+        refused(CalibrationRequest { repose_deg: Some(30.0), ..calibration_of("sand", 1) }).await,
+        "powder"
+    );
+    assert_eq!(
+        refused(CalibrationRequest { repose_deg: Some(f64::NAN), ..Default::default() }).await,
+        "repose_deg"
+    );
+    assert_eq!(
+        refused(CalibrationRequest { sets: Some(0), ..calibration_of("sand", 1) }).await,
+        "sets"
+    );
+    let bad_tolerance =
+        CalibrationRequest { tolerance_deg: Some(f64::INFINITY), ..calibration_of("sand", 1) };
     assert_eq!(refused(bad_tolerance).await, "tolerance_deg");
     let stray = CalibrationRequest { sd_deg: Some(1.0), ..calibration_of("sand", 1) };
     assert_eq!(refused(stray).await, "sd_deg", "a powder has its own");
@@ -196,15 +232,24 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
         assert_eq!(ended_in_time(&app, job).await, JobState::Succeeded);
     }
     let [sand, sugar] = [&sand.id, &sugar.id].map(|id| id.clone());
-    let [of_sand, of_sugar] = [app.calibration(&sand).await.unwrap(), app.calibration(&sugar).await.unwrap()];
+    let [of_sand, of_sugar] =
+        [app.calibration(&sand).await.unwrap(), app.calibration(&sugar).await.unwrap()];
     let (first, second) = (of_sand.result.unwrap(), of_sugar.result.unwrap());
     let (built, shared) = (first.emulator.unwrap(), second.emulator.unwrap());
     assert_eq!((built.id, built.sha256), (shared.id, shared.sha256));
-    assert!(built.built < 240 && shared.built == 0 && shared.runs == 240, "{} {}", built.built, shared.built);
+    assert!(
+        built.built < 240 && shared.built == 0 && shared.runs == 240,
+        "{} {}",
+        built.built,
+        shared.built
+    );
     assert!(first.reached && first.sets.len() == 3 && second.sets.len() == 3);
     let trials = all_trials(&app, &sand).await.len() + all_trials(&app, &sugar).await.len();
     let repeated = simulated.load(Ordering::SeqCst) - 240 - trials;
-    assert!(repeated <= 8, "{repeated} heaps were simulated twice; only a batch that was not saved may be");
+    assert!(
+        repeated <= 8,
+        "{repeated} heaps were simulated twice; only a batch that was not saved may be"
+    );
 
     let posterior = app.posterior(&sugar).await.unwrap();
     assert_eq!((posterior.draws.len(), posterior.parameters.len()), (400, 9));
@@ -215,7 +260,10 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     let app = open_in(folder.path(), functions()).await;
     assert_eq!(app.posterior(&sugar).await.unwrap(), posterior);
     let without = calibrated(&app, "salt").await;
-    assert!(matches!(app.posterior(&without.id).await, Err(Error::Conflict { code: "posterior_missing", .. })));
+    assert!(matches!(
+        app.posterior(&without.id).await,
+        Err(Error::Conflict { code: "posterior_missing", .. })
+    ));
 
     // Other measurements count, are simulated once for all calibrations, and are evaluated again in
     // the sets.
@@ -242,7 +290,11 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     let made_of = &result.observed[0];
     assert_eq!((made_of.built, made_of.sets.len(), made_of.sets[0].runs), (128, 3, 4));
     // The formula has no grains.
-    assert!(result.size_shift_deg.is_some_and(|shift| shift.abs() < 0.5), "{:?}", result.size_shift_deg);
+    assert!(
+        result.size_shift_deg.is_some_and(|shift| shift.abs() < 0.5),
+        "{:?}",
+        result.size_shift_deg
+    );
     assert!(made_of.agrees && (made_of.mean.unwrap() - 0.42).abs() < 0.03, "{made_of:?}");
     assert!(!posterior.parameters[8].inert, "a shake weighs grains");
     let (of_sand, _) = observed(joint("sand", 0.47)).await;
@@ -324,7 +376,11 @@ async fn a_follower_with_a_number_from_a_former_life_hears_what_happens_now() {
     let (_folder, app) = open(functions()).await;
     let mut all = app.events(Topic::All, 1_000_000).await.unwrap();
     let job = crate::harness::calibrated(&app, "sand").await;
-    let heard = tokio::time::timeout(PATIENCE, all.next()).await.expect("something is heard").unwrap().unwrap();
+    let heard = tokio::time::timeout(PATIENCE, all.next())
+        .await
+        .expect("something is heard")
+        .unwrap()
+        .unwrap();
     assert_eq!(heard.topic, format!("job:{}", job.id));
     let of_the_job = app.events(Topic::Job(job.id), 1_000_000).await.unwrap();
     let first = of_the_job.map(Result::unwrap).collect::<Vec<_>>().await;

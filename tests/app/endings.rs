@@ -15,13 +15,14 @@ fn at_the_end(happens: impl Fn() + Send + Sync + 'static) -> (Functions, Arc<Ato
     let pours = Arc::new(AtomicUsize::new(0));
     let counted = pours.clone();
     let mut bench: Apparatus = emulated_bench(Default::default());
-    bench.pour = Arc::new(move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| -> Poured {
-        let poured = pour(pouring, on_event, stop);
-        if counted.fetch_add(1, Ordering::SeqCst) == 0 {
-            happens();
-        }
-        poured
-    });
+    bench.pour =
+        Arc::new(move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| -> Poured {
+            let poured = pour(pouring, on_event, stop);
+            if counted.fetch_add(1, Ordering::SeqCst) == 0 {
+                happens();
+            }
+            poured
+        });
     (Functions { bench: Some(bench), ..functions() }, pours)
 }
 
@@ -53,8 +54,10 @@ async fn an_ending_that_cannot_be_written_is_kept_and_written_when_it_can_be() {
     let holding = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
     go.send(()).unwrap();
     // Longer than the store waits for a lock.
-    until("it is told what is in the way", async || why(&app).await.contains("another program holds the database"))
-        .await;
+    until("it is told what is in the way", async || {
+        why(&app).await.contains("another program holds the database")
+    })
+    .await;
     let found = app.bench().await.unwrap();
     assert_eq!((found.unwritten.unwrap().weighing, found.moving), (first.clone(), None));
     assert_eq!(pours.load(Ordering::SeqCst), 1, "nothing begins meanwhile");
@@ -68,7 +71,7 @@ async fn an_ending_that_cannot_be_written_is_kept_and_written_when_it_can_be() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_ending_that_is_never_written_is_unknown_and_latched_at_the_next_start_and_no_process_is_said_to_have_died()
-{
+ {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     let away = folder.path().join("away");
@@ -77,7 +80,8 @@ async fn an_ending_that_is_never_written_is_unknown_and_latched_at_the_next_star
     let app = open_in(&data, functions.clone()).await;
     calibrated(&app, "sand").await;
     let (first, second) = two(&app).await;
-    until("it is told that the database is gone", async || why(&app).await.contains("no longer")).await;
+    until("it is told that the database is gone", async || why(&app).await.contains("no longer"))
+        .await;
     let latch = app.bench().await.unwrap().latch.expect("a person must look");
     assert!(latch.reason.contains("flip.db"), "{}", latch.reason);
     app.shutdown().await.unwrap();
@@ -86,7 +90,10 @@ async fn an_ending_that_is_never_written_is_unknown_and_latched_at_the_next_star
     std::fs::rename(&away, &data).unwrap();
     let app = open_in(&data, functions).await;
     let weighing = app.weighing(&first).await.unwrap().weighing;
-    assert_eq!((weighing.state, weighing.outcome), (WeighingState::Unknown, Some(Outcome::Unknown)));
+    assert_eq!(
+        (weighing.state, weighing.outcome),
+        (WeighingState::Unknown, Some(Outcome::Unknown))
+    );
     let words = weighing.error.unwrap();
     assert!(words.contains("not on record") && words.contains("or a write failed"), "{words}");
     assert!(app.bench().await.unwrap().latch.is_some());

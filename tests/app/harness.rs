@@ -1,8 +1,8 @@
 //! One application per test, and the formulas it computes with.
 
 use flip::app::{
-    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target, Tolerance, Topic,
-    TrainingRequest, WeighingRequest,
+    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target,
+    Tolerance, Topic, TrainingRequest, WeighingRequest,
 };
 use flip::jobs::bench::{Poured, Pouring};
 use flip::jobs::train::Train;
@@ -48,7 +48,9 @@ pub fn heap(set: &ParameterSet, settings: &repose::Settings, seed: u64) -> Resul
 /// An observable, reduced, that falls with friction and cohesion and knows the diameter.
 pub fn observe(_: &Observable, set: &ParameterSet, seed: u64) -> Result<f64, Refusal> {
     let noise = (seed % 1000) as f64 / 1000.0 - 0.5;
-    Ok(4.0 - set.friction() - 0.5 * set.cohesion() + 5.0 * (set.particle_diameter_mm() - 0.27) + 0.02 * noise)
+    Ok(4.0 - set.friction() - 0.5 * set.cohesion()
+        + 5.0 * (set.particle_diameter_mm() - 0.27)
+        + 0.02 * noise)
 }
 
 /// A training on spoons that follow a formula.
@@ -72,7 +74,13 @@ pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Pour
         }
         let mass_mg = end_mg * f64::from(step) / 2.0;
         let reading = Reading { mass_mg, stable: true };
-        let tick = Tick { step, t_s: f64::from(step), pitch_deg: 10.0, action: Action::default(), reading };
+        let tick = Tick {
+            step,
+            t_s: f64::from(step),
+            pitch_deg: 10.0,
+            action: Action::default(),
+            reading,
+        };
         let _recorded = on_event(&Event::Tick(&tick));
         ticks.push(tick);
     }
@@ -117,7 +125,13 @@ pub async fn open_in(folder: &Path, functions: Functions) -> App {
 /// A calibration of a powder to three sets.
 pub fn calibration_of(powder: &str, seed: u64) -> CalibrationRequest {
     let method = Some(CalibrationMethod::Sequential);
-    CalibrationRequest { powder: Some(powder.into()), method, sets: Some(3), seed: Some(seed), ..Default::default() }
+    CalibrationRequest {
+        powder: Some(powder.into()),
+        method,
+        sets: Some(3),
+        seed: Some(seed),
+        ..Default::default()
+    }
 }
 
 /// The job once it has ended.
@@ -140,7 +154,11 @@ pub async fn calibrated(app: &App, powder: &str) -> Job {
 
 /// A training of a few random episodes on one powder.
 pub fn training_of(powder: &str, episodes: u32) -> TrainingRequest {
-    TrainingRequest { powders: Some(vec![powder.into()]), episodes: Some(episodes), ..Default::default() }
+    TrainingRequest {
+        powders: Some(vec![powder.into()]),
+        episodes: Some(episodes),
+        ..Default::default()
+    }
 }
 
 /// Calibrates a powder, trains on it, and returns the policy's id.

@@ -30,7 +30,12 @@ fn laboratory(arm: arm::Settings, spoon: FormulaSpoon) -> (Laboratory, Clock) {
 
 fn weighed(file: &BenchFile, clock: Clock) -> (Weighed, Station) {
     let mut station = Station::open(file, None, clock, &Tap::none()).unwrap();
-    let order = Order { target_mg: 20.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 2.0, readability_mg: 1.0 };
+    let order = Order {
+        target_mg: 20.0,
+        tolerance_lower_mg: 2.0,
+        tolerance_upper_mg: 2.0,
+        readability_mg: 1.0,
+    };
     let settings = Weighing { forecast: None, ..Weighing::BENCH };
     let hear = |_: &flip_bench::weigh::Event<'_>| ControlFlow::Continue(());
     let stop = AtomicBool::new(false);
@@ -68,7 +73,10 @@ fn an_arm_that_cannot_scoop_weighs_what_somebody_filled() {
 /// A devices bench with this spoon, none of whose devices is there.
 fn absent(spoon: &str) -> Functions {
     let devices = "[balance]\ndialect = \"sbi\"\nport = \"/dev/no-such-port\"\n[arm]\nurl = \"http://127.0.0.1:9\"\n";
-    Functions { bench: Some(file_bench(BenchFile::parse(&format!("{devices}{spoon}")).unwrap())), ..functions() }
+    Functions {
+        bench: Some(file_bench(BenchFile::parse(&format!("{devices}{spoon}")).unwrap())),
+        ..functions()
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -106,16 +114,24 @@ async fn trainings_and_evaluations_dose_with_the_spoon_that_is_given() {
         spoon,
         ..Default::default()
     };
-    assert!(matches!(app.start_evaluation(asked(None)).await, Err(Error::Invalid(_))), "FLIP's own holds 40 mg");
+    assert!(
+        matches!(app.start_evaluation(asked(None)).await, Err(Error::Invalid(_))),
+        "FLIP's own holds 40 mg"
+    );
     let (job, _) = app.start_evaluation(asked(Some(spoon))).await.unwrap();
     assert_eq!(app.evaluation(&job.id).await.unwrap().conditions.spoon, spoon);
-    let (job, _) = app.start_training(TrainingRequest { spoon: Some(spoon), ..training_of("sand", 4) }).await.unwrap();
+    let (job, _) = app
+        .start_training(TrainingRequest { spoon: Some(spoon), ..training_of("sand", 4) })
+        .await
+        .unwrap();
     let grains = |settings: &serde_json::Value| settings["spoon"]["particles"].as_u64().unwrap();
     assert!(grains(&app.training(&job.id).await.unwrap().settings) > 4000);
     let wrong = Measured { depth_mm: Some(3.0), ..spoon };
     for refused in [
         app.start_evaluation(asked(Some(wrong))).await.map(drop),
-        app.start_training(TrainingRequest { spoon: Some(wrong), ..training_of("sand", 4) }).await.map(drop),
+        app.start_training(TrainingRequest { spoon: Some(wrong), ..training_of("sand", 4) })
+            .await
+            .map(drop),
     ] {
         let Err(Error::Invalid(errors)) = refused else { panic!("{refused:?}") };
         assert_eq!(errors[0].field, "spoon.length_mm");

@@ -1,7 +1,9 @@
 //! Powders, measurements, tokens, and who may open what.
 
 use crate::harness::{functions, open};
-use flip::app::{App, Error, Flowability, Method, NewMeasurement, NewPowder, OpenError, Options, PageQuery, Role};
+use flip::app::{
+    App, Error, Flowability, Method, NewMeasurement, NewPowder, OpenError, Options, PageQuery, Role,
+};
 
 fn measurement(repose_deg: f64, method: Method) -> NewMeasurement {
     NewMeasurement {
@@ -23,7 +25,10 @@ async fn the_published_powders_are_there_with_both_measurements() {
     let powders = app.powders(PageQuery::default()).await.unwrap().items;
     let ids: Vec<&str> = powders.iter().map(|powder| powder.id.as_str()).collect();
     assert_eq!(ids, ["sand", "sugar", "salt", "semolina", "sodium_bicarbonate"]);
-    assert_eq!(powders[3].flowability, Some(Flowability { repose_deg: 42.762, sd_deg: 1.97, n: 5 }));
+    assert_eq!(
+        powders[3].flowability,
+        Some(Flowability { repose_deg: 42.762, sd_deg: 1.97, n: 5 })
+    );
     let detail = app.powder("salt").await.unwrap();
     let measured: Vec<f64> = detail.measurements.iter().map(|m| m.repose_deg).collect();
     assert_eq!(measured, [36.03, 35.80]);
@@ -51,11 +56,18 @@ async fn the_newest_automated_measurement_is_the_one_to_aim_at() {
 #[tokio::test(flavor = "multi_thread")]
 async fn powders_that_are_taken_or_misnamed_and_impossible_measurements_are_refused() {
     let (_folder, app) = open(functions()).await;
-    let create = async |id: &str, name: &str| app.create_powder(NewPowder { id: id.into(), name: name.into() }).await;
-    assert!(matches!(create("sand", "Sand").await, Err(Error::Conflict { code: "powder_exists", .. })));
+    let create = async |id: &str, name: &str| {
+        app.create_powder(NewPowder { id: id.into(), name: name.into() }).await
+    };
+    assert!(matches!(
+        create("sand", "Sand").await,
+        Err(Error::Conflict { code: "powder_exists", .. })
+    ));
     let Err(Error::Invalid(fields)) = create("Sand!", " ").await else { panic!("accepted") };
     assert_eq!(fields.iter().map(|f| f.field.as_str()).collect::<Vec<_>>(), ["id", "name"]);
-    let Err(Error::Invalid(fields)) = app.add_measurement("sand", measurement(f64::NAN, Method::Manual)).await else {
+    let Err(Error::Invalid(fields)) =
+        app.add_measurement("sand", measurement(f64::NAN, Method::Manual)).await
+    else {
         panic!("accepted")
     };
     assert_eq!(fields[0].field, "repose_deg");
@@ -90,7 +102,9 @@ async fn a_token_opens_what_its_role_may_and_nothing_else_does() {
     assert_eq!(app.authenticate(&secret).map(|holder| holder.role), Some(Role::Operator));
     let mut other = secret.clone();
     other.replace_range(secret.len() - 1.., if secret.ends_with('0') { "1" } else { "0" });
-    for wrong in [other.as_str(), &secret[..secret.len() - 1], "flip_", "", "flip_0000000000000000_00"] {
+    for wrong in
+        [other.as_str(), &secret[..secret.len() - 1], "flip_", "", "flip_0000000000000000_00"]
+    {
         assert_eq!(app.authenticate(wrong), None, "{wrong}");
     }
     assert!(Role::Viewer < Role::Operator && Role::Operator < Role::Admin);

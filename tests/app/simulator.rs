@@ -1,10 +1,12 @@
 //! An extended version of the simulator: made by an investigation, then used to calibrate, train,
 //! evaluate and weigh.
 
-use crate::harness::{OnEvent, calibration_of, ended, functions, heap, mg, open, pour, training_of};
+use crate::harness::{
+    OnEvent, calibration_of, ended, functions, heap, mg, open, pour, training_of,
+};
 use flip::app::{
-    App, CalibrationRequest, Error, EvaluationRequest, Functions, InvestigationRequest, Job, JobState, Report,
-    TrainingRequest, WeighingRequest,
+    App, CalibrationRequest, Error, EvaluationRequest, Functions, InvestigationRequest, Job,
+    JobState, Report, TrainingRequest, WeighingRequest,
 };
 use flip::jobs::bench::Pouring;
 use flip_core::domain::conditions::{Condition, Conditions};
@@ -78,7 +80,9 @@ fn humid(percent: f64) -> Conditions {
 
 fn refused<T>(answer: Result<T, Error>) -> String {
     match answer {
-        Err(Error::Invalid(errors)) => errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "),
+        Err(Error::Invalid(errors)) => {
+            errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+        }
         Err(other) => panic!("{other:?}"),
         Ok(_) => panic!("it was accepted"),
     }
@@ -90,15 +94,27 @@ async fn what_an_investigation_accepts_is_calibrated_weighed_evaluated_and_train
     let (_folder, app) = open(wet(&seen)).await;
     let (report, version) = investigated(&app, 60).await;
     assert!(report.simulator_version.verified, "{:?}", report.simulator_version);
-    assert!(report.simulator_runs <= 60 && report.simulator_runs == seen.heaps.load(Ordering::SeqCst));
+    assert!(
+        report.simulator_runs <= 60 && report.simulator_runs == seen.heaps.load(Ordering::SeqCst)
+    );
     let numerics = report.numerics.unwrap();
-    assert!(numerics.dependences.iter().all(|it| !it.is_defect) && numerics.set.source.starts_with("uncalibrated"));
+    assert!(
+        numerics.dependences.iter().all(|it| !it.is_defect)
+            && numerics.set.source.starts_with("uncalibrated")
+    );
     let (again, created) = app.start_investigation(campaign(60)).await.unwrap();
-    assert!(!created, "the same investigation is the same job, and {} simulates nothing more", again.id);
+    assert!(
+        !created,
+        "the same investigation is the same job, and {} simulates nothing more",
+        again.id
+    );
 
     let body = app.simulator(&version).await.unwrap().body;
     let humidity = &body["extensions"][0];
-    assert_eq!((&humidity["mechanism"], &humidity["hook"]), (&json!("humidity"), &json!({"extension": "humidity"})));
+    assert_eq!(
+        (&humidity["mechanism"], &humidity["hook"]),
+        (&json!("humidity"), &json!({"extension": "humidity"}))
+    );
     let number = |value: &serde_json::Value| value.as_f64().unwrap();
     // The toy's heaps move by 28 deg per unit amplitude.
     let expected = number(&humidity["effect_deg"]) / STEEPENS_DEG;
@@ -107,15 +123,20 @@ async fn what_an_investigation_accepts_is_calibrated_weighed_evaluated_and_train
     let driest = number(&humidity["through"][0]["reference"]);
 
     // Calibrated at the reference; the base has none of these sets.
-    let request = CalibrationRequest { simulator: Some(version.clone()), ..calibration_of("sand", 1) };
+    let request =
+        CalibrationRequest { simulator: Some(version.clone()), ..calibration_of("sand", 1) };
     let (job, _) = app.start_calibration(request).await.unwrap();
     succeeded(&app, &job).await;
     let calibration = app.calibration(&job.id).await.unwrap();
-    let sand = body["powders"].as_array().unwrap().iter().find(|it| it["powder"] == "sand").unwrap();
+    let sand =
+        body["powders"].as_array().unwrap().iter().find(|it| it["powder"] == "sand").unwrap();
     assert_eq!(calibration.target.repose_deg, number(&sand["repose"]["repose_deg"]));
     assert_eq!(calibration.under.unwrap().simulator, version);
     let sets = app.powder("sand").await.unwrap().sets;
-    assert!(!sets.is_empty() && sets.iter().all(|set| set.simulator.as_deref() == Some(version.as_str())));
+    assert!(
+        !sets.is_empty()
+            && sets.iter().all(|set| set.simulator.as_deref() == Some(version.as_str()))
+    );
     let base = app.start_weighing(mg("sand", 10.0), "on-the-base").await;
     assert!(matches!(base, Err(Error::Conflict { code: "calibration_missing", .. })), "{base:?}");
 
@@ -152,18 +173,28 @@ async fn what_an_investigation_accepts_is_calibrated_weighed_evaluated_and_train
     assert_eq!(evaluation.under.unwrap().simulator, version);
     assert_eq!(*seen.pours.lock().unwrap(), [pours[1]; 2]);
     let policy = app.policy(&evaluation.policy).await.unwrap();
-    assert!(policy.evaluated.is_empty(), "doses on another bench are no evidence about weighings on the base");
+    assert!(
+        policy.evaluated.is_empty(),
+        "doses on another bench are no evidence about weighings on the base"
+    );
 
-    let request =
-        TrainingRequest { simulator: Some(version.clone()), surrogate_episodes: Some(0), ..training_of("sand", 8) };
+    let request = TrainingRequest {
+        simulator: Some(version.clone()),
+        surrogate_episodes: Some(0),
+        ..training_of("sand", 8)
+    };
     let (job, _) = app.start_training(request).await.unwrap();
     succeeded(&app, &job).await;
     let training = app.training(&job.id).await.unwrap();
     let policy = app.policy(&training.result.unwrap().policy).await.unwrap();
     let extended = &policy.manifest["settings"]["extended"];
-    assert_eq!((&extended["under"]["simulator"], training.under.unwrap().simulator), (&json!(version), version));
+    assert_eq!(
+        (&extended["under"]["simulator"], training.under.unwrap().simulator),
+        (&json!(version), version)
+    );
     let days = extended["powders"]["sand"].as_array().unwrap();
-    let wettest = days.iter().filter_map(|day| day["amplitudes"]["humidity"].as_f64()).fold(0.0, f64::max);
+    let wettest =
+        days.iter().filter_map(|day| day["amplitudes"]["humidity"].as_f64()).fold(0.0, f64::max);
     assert!(days.len() == 64 && wettest > pours[1] * 0.9, "{wettest}");
     app.shutdown().await.unwrap();
 }
@@ -173,25 +204,46 @@ async fn without_a_budget_nothing_is_simulated_and_what_cannot_be_simulated_is_r
     let seen = Arc::new(Seen::default());
     let (_folder, app) = open(wet(&seen)).await;
     let (report, version) = investigated(&app, 0).await;
-    assert!(!report.simulator_version.verified && report.simulator_runs == 0 && report.numerics.is_none());
+    assert!(
+        !report.simulator_version.verified
+            && report.simulator_runs == 0
+            && report.numerics.is_none()
+    );
     assert_eq!(seen.heaps.load(Ordering::SeqCst), 0);
     assert!(app.simulator(&version).await.unwrap().body["extensions"][0]["fit"].is_null());
 
     let calibrate = async |simulator: &str, powder: &str, conditions: Conditions| {
-        let request =
-            CalibrationRequest { simulator: Some(simulator.to_owned()), conditions, ..calibration_of(powder, 1) };
+        let request = CalibrationRequest {
+            simulator: Some(simulator.to_owned()),
+            conditions,
+            ..calibration_of(powder, 1)
+        };
         refused(app.start_calibration(request).await)
     };
-    assert!(calibrate("sv-0", "sand", Conditions::new()).await.starts_with("simulator: there is no version `sv-0`"));
-    assert!(calibrate("base", "sand", humid(50.0)).await.starts_with("conditions: are those of an extended version"));
+    assert!(
+        calibrate("sv-0", "sand", Conditions::new())
+            .await
+            .starts_with("simulator: there is no version `sv-0`")
+    );
+    assert!(
+        calibrate("base", "sand", humid(50.0))
+            .await
+            .starts_with("conditions: are those of an extended version")
+    );
     let outside = calibrate(&version, "sand", humid(99.0)).await;
-    assert!(outside.starts_with("conditions.relative_humidity_pct: must be a number from "), "{outside}");
+    assert!(
+        outside.starts_with("conditions.relative_humidity_pct: must be a number from "),
+        "{outside}"
+    );
     let bare = CalibrationRequest {
         repose_deg: Some(33.0),
         simulator: Some(version.clone()),
         ..CalibrationRequest { powder: None, ..calibration_of("sand", 1) }
     };
-    assert!(refused(app.start_calibration(bare).await).contains("say under which conditions it was measured"));
+    assert!(
+        refused(app.start_calibration(bare).await)
+            .contains("say under which conditions it was measured")
+    );
     let weighing = WeighingRequest { simulator: Some(version.clone()), ..mg("sand", 10.0) };
     let missing = refused(app.start_weighing(weighing, "k").await);
     assert!(missing.contains("conditions.relative_humidity_pct: is missing"), "{missing}");

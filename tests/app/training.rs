@@ -1,7 +1,11 @@
 //! Trainings and evaluations: from calibrated sets to a policy and its errors.
 
-use crate::harness::{OnEvent, calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until};
-use flip::app::{App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
+use crate::harness::{
+    OnEvent, calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until,
+};
+use flip::app::{
+    App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX,
+};
 use flip::app::{Preset, Topic, TrainingRequest};
 use flip::jobs::bench::{Poured, Pouring};
 use flip_core::domain::bench_check::{ExecutedShake, ShakeCalibration};
@@ -22,13 +26,19 @@ async fn a_training_stores_its_episodes_and_a_policy_that_can_be_downloaded() {
     let id = trained(&app, "sand").await;
     let card = app.policy(&id).await.unwrap();
     let bytes = app.policy_bytes(&id).await.unwrap();
-    assert_eq!((policy::id(&bytes), bytes.len() as u64, card.kind.as_str()), (id, card.size_bytes, "learned"));
+    assert_eq!(
+        (policy::id(&bytes), bytes.len() as u64, card.kind.as_str()),
+        (id, card.size_bytes, "learned")
+    );
     assert_eq!(policy::decode(&bytes).unwrap().manifest.episodes, 8);
     let training = app.training(&card.training.unwrap()).await.unwrap();
     assert_eq!((training.episodes, training.levels[0].powder.as_str()), (8, "sand"));
     assert_eq!(training.levels[0].sets.len(), 3);
     let episodes = all_episodes(&app, &training.job.id).await;
-    assert!(episodes.len() == 8 && episodes.iter().enumerate().all(|(k, episode)| episode.index as usize == k));
+    assert!(
+        episodes.len() == 8
+            && episodes.iter().enumerate().all(|(k, episode)| episode.index as usize == k)
+    );
     app.shutdown().await.unwrap();
 }
 
@@ -40,7 +50,10 @@ async fn a_shut_down_training_resumes_and_ends_with_the_same_policy() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_training_whose_checkpoint_is_lost_begins_again_says_so_and_ends_with_the_same_policy() {
     assert_eq!(events_of_a_resumed_training(|file| std::fs::remove_file(file).unwrap()).await, 1);
-    assert_eq!(events_of_a_resumed_training(|file| std::fs::write(file, b"half").unwrap()).await, 1);
+    assert_eq!(
+        events_of_a_resumed_training(|file| std::fs::write(file, b"half").unwrap()).await,
+        1
+    );
 }
 
 /// How often a training that was shut down reports that its checkpoint is lost, after this damage
@@ -84,7 +97,10 @@ async fn events_of_a_resumed_training(damage: impl Fn(&std::path::Path)) -> usiz
     let events: Vec<_> = app.events(Topic::Job(job.id.clone()), 0).await.unwrap().collect().await;
     app.shutdown().await.unwrap();
     undisturbed.shutdown().await.unwrap();
-    events.iter().filter(|event| event.as_ref().is_ok_and(|event| event.kind == "checkpoint_lost")).count()
+    events
+        .iter()
+        .filter(|event| event.as_ref().is_ok_and(|event| event.kind == "checkpoint_lost"))
+        .count()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -123,7 +139,8 @@ async fn trainings_run_side_by_side_and_end_as_they_do_alone() {
 }
 
 fn walk(folder: std::path::PathBuf) -> Vec<std::path::PathBuf> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().map(|entry| entry.unwrap().path());
+    let entries =
+        std::fs::read_dir(folder).into_iter().flatten().map(|entry| entry.unwrap().path());
     entries.flat_map(|path| if path.is_dir() { walk(path) } else { vec![path] }).collect()
 }
 
@@ -151,8 +168,11 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     let evaluation = app.evaluation(&job.id).await.unwrap();
     assert!(evaluation.conditions.are_usual());
     let usual = request.clone();
-    let unseen =
-        EvaluationRequest { particles: Some(3000), extensions: [("rotation".to_owned(), 1.0)].into(), ..request };
+    let unseen = EvaluationRequest {
+        particles: Some(3000),
+        extensions: [("rotation".to_owned(), 1.0)].into(),
+        ..request
+    };
     let (other, created) = app.start_evaluation(unseen).await.unwrap();
     assert!(created && other.id != job.id);
     assert_eq!(ended(&app, &other.id).await.state, JobState::Succeeded);
@@ -166,13 +186,20 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
         assert_eq!(ended(&app, &job.id).await.state, JobState::Succeeded);
     }
     let result = evaluation.result.unwrap();
-    assert_eq!((evaluation.policy, result.rows.len(), result.summary.len()), (policy.clone(), 8, 2));
+    assert_eq!(
+        (evaluation.policy, result.rows.len(), result.summary.len()),
+        (policy.clone(), 8, 2)
+    );
     assert!(result.rows.iter().all(|row| row.n == 2 && (row.mae_mg - 0.25).abs() < 1e-9));
     let evaluated = app.policy(&policy).await.unwrap().evaluated;
     let powders: Vec<(&str, u32)> = evaluated.iter().map(|e| (e.powder.as_str(), e.n)).collect();
     assert_eq!(powders, [("salt", 4), ("sand", 4)]);
     let weighing = app.start_weighing(mg("sand", 15.0), "after-the-evaluation").await.unwrap().0;
-    assert_eq!(weighing.policy, flip_policy::shipped().id, "it was not compared with the shipped one");
+    assert_eq!(
+        weighing.policy,
+        flip_policy::shipped().id,
+        "it was not compared with the shipped one"
+    );
     // In the shipped policy's own thirty steps.
     let both = Some(vec!["policy".into(), "paced".into()]);
     let compared = EvaluationRequest { controllers: both, max_shakes: Some(30), ..usual };
@@ -238,17 +265,29 @@ async fn missing_prerequisites_are_conflicts_that_name_the_command() {
         Err(other) => panic!("{other:?}"),
         Ok(((), false | true)) => panic!("accepted"),
     };
-    let train = async |request| conflict(app.start_training(request).await.map(|(_, created)| ((), created)));
+    let train = async |request| {
+        conflict(app.start_training(request).await.map(|(_, created)| ((), created)))
+    };
     let (code, message) = train(TrainingRequest::default()).await;
-    assert!(code == "calibration_missing" && message.contains("flip calibrate --powder sand"), "{message}");
+    assert!(
+        code == "calibration_missing" && message.contains("flip calibrate --powder sand"),
+        "{message}"
+    );
     let shaken = TrainingRequest { as_calibrated: true, ..Default::default() };
     let (code, message) = train(shaken).await;
-    assert!(code == "shakes_not_calibrated" && message.contains("flip bench calibrate-shake"), "{message}");
-    let (code, message) = train(TrainingRequest { preset: Preset::Paper, ..Default::default() }).await;
+    assert!(
+        code == "shakes_not_calibrated" && message.contains("flip bench calibrate-shake"),
+        "{message}"
+    );
+    let (code, message) =
+        train(TrainingRequest { preset: Preset::Paper, ..Default::default() }).await;
     assert!(code == "calibration_missing" && message.contains("28 deg"), "{message}");
     let evaluate = app.start_evaluation(EvaluationRequest::default()).await;
     let (code, message) = conflict(evaluate.map(|(_, created)| ((), created)));
-    assert!(code == "calibration_missing" && message.contains("flip calibrate --powder sand"), "{message}");
+    assert!(
+        code == "calibration_missing" && message.contains("flip calibrate --powder sand"),
+        "{message}"
+    );
     app.shutdown().await.unwrap();
 }
 
@@ -260,15 +299,24 @@ async fn a_training_shakes_as_the_arm_was_measured_to() {
         let request = TrainingRequest { as_calibrated, ..training_of("sand", 8) };
         let (job, _) = app.start_training(request).await.unwrap();
         ended(&app, &job.id).await;
-        app.training(&job.id).await.unwrap().settings["spoon"]["shake"]["velocity_m_s"].as_f64().unwrap()
+        app.training(&job.id).await.unwrap().settings["spoon"]["shake"]["velocity_m_s"]
+            .as_f64()
+            .unwrap()
     };
     let usual = velocity(false).await;
     // Half as fast as planned.
     let shake = |commanded_mm: f64| {
         let top_mm_s = 1e3 * Move::new(commanded_mm * 1e-3, MotionLimits::BRISK).top_m_s();
-        ExecutedShake { commanded_mm, executed_mm: commanded_mm, planned_mm_s: top_mm_s, peak_mm_s: top_mm_s / 2.0 }
+        ExecutedShake {
+            commanded_mm,
+            executed_mm: commanded_mm,
+            planned_mm_s: top_mm_s,
+            peak_mm_s: top_mm_s / 2.0,
+        }
     };
-    app.keep_shakes(&ShakeCalibration::of([2.0, 4.0, 8.0].map(shake).to_vec()).unwrap()).await.unwrap();
+    app.keep_shakes(&ShakeCalibration::of([2.0, 4.0, 8.0].map(shake).to_vec()).unwrap())
+        .await
+        .unwrap();
     assert!((velocity(true).await / usual - 0.5).abs() < 1e-9);
     app.shutdown().await.unwrap();
 }
@@ -291,7 +339,11 @@ async fn requests_that_cannot_be_met_name_every_wrong_field() {
     };
     let named = fields(app.start_evaluation(bad).await.unwrap_err());
     let conditions = ["particles", "extensions.rotation", "extensions.wind"];
-    assert_eq!(named, [&["repeats", "controllers[1]", "targets_mg[1]", "targets_mg[2]"][..], &conditions].concat());
+    assert_eq!(
+        named,
+        [&["repeats", "controllers[1]", "targets_mg[1]", "targets_mg[2]"][..], &conditions]
+            .concat()
+    );
     // Half the grains are half the mass: a dose that the usual spoon holds is refused.
     let too_few = EvaluationRequest {
         policy: Some(policy.clone()),

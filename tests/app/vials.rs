@@ -20,8 +20,10 @@ fn spoon(seed: u64) -> Box<FormulaSpoon> {
 /// A laboratory whose vial a person exchanges, with a clock of its own.
 pub fn laboratory(dead_man_ms: u32) -> (Laboratory, Functions) {
     let clock = Clock::standing();
-    let settings =
-        lab::Settings { arm: arm::Settings { dead_man_ms, ..Default::default() }, ..lab::Settings::default() };
+    let settings = lab::Settings {
+        arm: arm::Settings { dead_man_ms, ..Default::default() },
+        ..lab::Settings::default()
+    };
     let laboratory = Laboratory::start(settings, clock.clone(), spoon(1)).unwrap();
     let bench = Some(devices_by(laboratory.file(), clock));
     (laboratory, Functions { bench, ..functions() })
@@ -37,8 +39,10 @@ pub async fn asked(app: &App, vial: &str) -> String {
 }
 
 pub async fn until_awaiting(app: &App, id: &str) {
-    until("it is its turn", async || app.weighing(id).await.unwrap().weighing.state == WeighingState::AwaitingVial)
-        .await;
+    until("it is its turn", async || {
+        app.weighing(id).await.unwrap().weighing.state == WeighingState::AwaitingVial
+    })
+    .await;
 }
 
 pub fn said(vial: &str) -> VialReadyRequest {
@@ -48,7 +52,8 @@ pub fn said(vial: &str) -> VialReadyRequest {
 /// The vial on the pan: its name, and whether it holds this mass.
 fn holds(found: &BenchStatus, name: &str, mass_mg: f64) -> bool {
     let vial = found.vial.as_ref().expect("a vial is known");
-    vial.name.as_deref() == Some(name) && vial.holds_mg.is_some_and(|mg| (mg - mass_mg).abs() <= 3.0)
+    vial.name.as_deref() == Some(name)
+        && vial.holds_mg.is_some_and(|mg| (mg - mass_mg).abs() <= 3.0)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -78,7 +83,9 @@ async fn three_weighings_for_three_named_vials_do_not_go_into_one() {
     assert_eq!((second.state, second.outcome), (WeighingState::Aborted, Some(Outcome::Aborted)));
     let words = second.error.unwrap();
     assert!(
-        ["vial `B`", "vial `A`", "still on the pan", "Nothing was poured"].iter().all(|it| words.contains(it)),
+        ["vial `B`", "vial `A`", "still on the pan", "Nothing was poured"]
+            .iter()
+            .all(|it| words.contains(it)),
         "{words}"
     );
     assert_eq!(laboratory.dispensed_mg(), poured_mg);
@@ -86,7 +93,10 @@ async fn three_weighings_for_three_named_vials_do_not_go_into_one() {
     // The bench is not latched, and the next dose has its vial.
     until_awaiting(&app, &c).await;
     let found = app.bench().await.unwrap();
-    assert!(found.latch.is_none() && found.held.is_none() && holds(&found, "A", poured_mg), "{found:?}");
+    assert!(
+        found.latch.is_none() && found.held.is_none() && holds(&found, "A", poured_mg),
+        "{found:?}"
+    );
     laboratory.prepare(spoon(3));
     app.vial_ready(&c, said("C")).await.unwrap();
     let third = done(&app, &c).await;
@@ -143,7 +153,11 @@ async fn what_was_said_of_a_vial_is_void_after_a_stop_and_after_a_restart() {
     let app = open_in(folder.path(), functions).await;
     app.resume_bench(resume()).await.unwrap();
     until_awaiting(&app, &a).await;
-    assert_eq!((laboratory.arm.log().len(), laboratory.dispensed_mg()), (0, 0.0), "nothing has moved");
+    assert_eq!(
+        (laboratory.arm.log().len(), laboratory.dispensed_mg()),
+        (0, 0.0),
+        "nothing has moved"
+    );
     app.vial_ready(&a, said("A")).await.unwrap();
     assert_eq!(done(&app, &a).await.state, WeighingState::Done);
     app.shutdown().await.unwrap();
@@ -183,7 +197,10 @@ async fn an_arm_that_is_latched_latches_the_bench_says_why_and_a_person_clears_b
     until_awaiting(&app, &a).await;
     app.vial_ready(&a, said("A")).await.unwrap();
     let words = done(&app, &a).await.error.unwrap();
-    assert!(words.contains("nobody renewed the lease in time") && !words.contains("acquire"), "{words}");
+    assert!(
+        words.contains("nobody renewed the lease in time") && !words.contains("acquire"),
+        "{words}"
+    );
     let latch = app.bench().await.unwrap().latch.expect("the bench is latched too");
     assert!(latch.reason.contains("nobody renewed the lease in time"), "{}", latch.reason);
     let cleared = app.clear_bench(clear(false)).await.unwrap();

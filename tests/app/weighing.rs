@@ -2,8 +2,8 @@
 
 use crate::harness::{OnEvent, calibrated, functions, mg, open, open_in, pour, trained, until};
 use flip::app::{
-    App, Error, Functions, LaboratorySettings, PageQuery, Target, Tolerance, Topic, Weighing, WeighingRequest,
-    emulated_bench,
+    App, Error, Functions, LaboratorySettings, PageQuery, Target, Tolerance, Topic, Weighing,
+    WeighingRequest, emulated_bench,
 };
 use flip_bench::weigh::forecast::{Fall, Forecast};
 use flip_core::domain::weighing::{Outcome, WeighingState};
@@ -15,7 +15,9 @@ use std::sync::{Arc, Condvar, Mutex};
 pub async fn done(app: &App, id: &str) -> Weighing {
     let mut events = app.events(Topic::Weighing(id.into()), 0).await.unwrap();
     let drained = async { while events.next().await.is_some() {} };
-    tokio::time::timeout(crate::harness::PATIENCE, drained).await.expect("the weighing ends in time");
+    tokio::time::timeout(crate::harness::PATIENCE, drained)
+        .await
+        .expect("the weighing ends in time");
     app.weighing(id).await.unwrap().weighing
 }
 
@@ -60,13 +62,24 @@ async fn a_weighing_ends_with_its_outcome_and_its_trace() {
     assert!(!replayed && weighing.policy == flip_policy::shipped().id);
     let weighing = done(&app, &weighing.id).await;
     assert_eq!((weighing.state, weighing.outcome), (WeighingState::Done, Some(Outcome::Within)));
-    assert_eq!((weighing.dispensed_mg, weighing.error_mg, weighing.shakes), (Some(15.25), Some(0.25), Some(2)));
+    assert_eq!(
+        (weighing.dispensed_mg, weighing.error_mg, weighing.shakes),
+        (Some(15.25), Some(0.25), Some(2))
+    );
     let detail = app.weighing(&weighing.id).await.unwrap();
     assert_eq!(detail.ticks.iter().map(|tick| tick.step).collect::<Vec<_>>(), [0, 1, 2]);
-    let events: Vec<_> = app.events(Topic::Weighing(weighing.id), 0).await.unwrap().map(Result::unwrap).collect().await;
+    let events: Vec<_> = app
+        .events(Topic::Weighing(weighing.id), 0)
+        .await
+        .unwrap()
+        .map(Result::unwrap)
+        .collect()
+        .await;
     let told: Vec<String> = events
         .iter()
-        .map(|event| event.data.get("state").and_then(|s| s.as_str()).unwrap_or(&event.kind).to_owned())
+        .map(|event| {
+            event.data.get("state").and_then(|s| s.as_str()).unwrap_or(&event.kind).to_owned()
+        })
         .collect();
     assert_eq!(told, ["planned", "armed", "dosing", "tick", "tick", "tick", "done"]);
     app.shutdown().await.unwrap();
@@ -82,7 +95,9 @@ async fn a_hundred_parallel_requests_with_one_key_make_one_weighing_and_one_pour
         tokio::spawn(async move { app.start_weighing(mg("sand", 12.0), "one key").await })
     }));
     // A key with a space is refused; the hundred requests use one without.
-    assert!(answers.await.into_iter().all(|answer| matches!(answer.unwrap(), Err(Error::Invalid(_)))));
+    assert!(
+        answers.await.into_iter().all(|answer| matches!(answer.unwrap(), Err(Error::Invalid(_))))
+    );
     let answers = join_all((0..100).map(|_| {
         let app = app.clone();
         tokio::spawn(async move { app.start_weighing(mg("sand", 12.0), "one-key").await.unwrap() })
@@ -94,8 +109,13 @@ async fn a_hundred_parallel_requests_with_one_key_make_one_weighing_and_one_pour
     done(&app, &answers[0].0.id).await;
     assert_eq!(app.weighings(PageQuery::default()).await.unwrap().items.len(), 1);
     let other = app.start_weighing(mg("sand", 13.0), "one-key").await;
-    assert!(matches!(other, Err(Error::Unprocessable { weighing, .. }) if weighing == answers[0].0.id));
-    assert!(app.start_weighing(mg("sand", 12.0), "one-key").await.unwrap().1, "also long after it has ended");
+    assert!(
+        matches!(other, Err(Error::Unprocessable { weighing, .. }) if weighing == answers[0].0.id)
+    );
+    assert!(
+        app.start_weighing(mg("sand", 12.0), "one-key").await.unwrap().1,
+        "also long after it has ended"
+    );
     assert_eq!(gate.pours.load(Ordering::SeqCst), 1);
     app.shutdown().await.unwrap();
 }
@@ -109,10 +129,17 @@ async fn weighings_wait_in_order_and_the_sixty_sixth_is_told_to_come_back() {
     until("the first moves", async || gate.pours.load(Ordering::SeqCst) == 1).await;
     let mut waiting = Vec::new();
     for k in 0..64 {
-        waiting.push(app.start_weighing(mg("sand", 5.0), &format!("waiting-{k}")).await.unwrap().0.id);
+        waiting
+            .push(app.start_weighing(mg("sand", 5.0), &format!("waiting-{k}")).await.unwrap().0.id);
     }
-    assert!(matches!(app.start_weighing(mg("sand", 5.0), "one-too-many").await, Err(Error::Busy(_))));
-    assert!(app.start_weighing(mg("sand", 5.0), "waiting-0").await.unwrap().1, "a repeated request is no new one");
+    assert!(matches!(
+        app.start_weighing(mg("sand", 5.0), "one-too-many").await,
+        Err(Error::Busy(_))
+    ));
+    assert!(
+        app.start_weighing(mg("sand", 5.0), "waiting-0").await.unwrap().1,
+        "a repeated request is no new one"
+    );
     gate.open();
     done(&app, waiting.last().unwrap()).await;
     let all = app.weighings(PageQuery::first(200)).await.unwrap().items;
@@ -141,7 +168,10 @@ async fn a_stop_ends_a_waiting_weighing_at_once_and_a_moving_one_at_its_next_tic
     assert!(app.bench().await.unwrap().held.is_some());
     let stopped = done(&app, &moving).await;
     assert_eq!((stopped.state, stopped.outcome), (WeighingState::Aborted, Some(Outcome::Stopped)));
-    assert!(matches!(app.stop_weighing(&moving).await, Err(Error::Conflict { code: "weighing_finished", .. })));
+    assert!(matches!(
+        app.stop_weighing(&moving).await,
+        Err(Error::Conflict { code: "weighing_finished", .. })
+    ));
     assert!(matches!(app.stop_weighing("none").await, Err(Error::NotFound { .. })));
     assert_eq!(gate.pours.load(Ordering::SeqCst), 1);
     app.shutdown().await.unwrap();
@@ -157,7 +187,10 @@ async fn shutting_down_stops_what_moves_and_keeps_what_waits() {
     let waiting = app.start_weighing(mg("sand", 5.0), "waiting").await.unwrap().0.id;
     until("the first moves", async || gate.pours.load(Ordering::SeqCst) == 1).await;
     app.shutdown().await.unwrap();
-    assert!(matches!(app.start_weighing(mg("sand", 5.0), "late").await, Err(Error::Unavailable(_))));
+    assert!(matches!(
+        app.start_weighing(mg("sand", 5.0), "late").await,
+        Err(Error::Unavailable(_))
+    ));
     drop(app);
     let app = open_in(folder.path(), functions()).await;
     assert_eq!(app.weighing(&moving).await.unwrap().weighing.outcome, Some(Outcome::Stopped));
@@ -190,7 +223,8 @@ async fn a_pour_that_panics_is_recorded_and_the_next_one_goes_on() {
 async fn forecasts(remembers: bool) -> Vec<Forecast> {
     let seen = Arc::new(Mutex::new(Vec::new()));
     let told = seen.clone();
-    let mut bench = emulated_bench(LaboratorySettings { remembers, ..LaboratorySettings::default() });
+    let mut bench =
+        emulated_bench(LaboratorySettings { remembers, ..LaboratorySettings::default() });
     bench.pour = Arc::new(move |pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
         told.lock().unwrap().push(pouring.forecast);
         let mut poured = pour(pouring, on_event, stop);
@@ -207,7 +241,8 @@ async fn forecasts(remembers: bool) -> Vec<Forecast> {
     for (key, (powder, target_mg)) in
         [("sand", 15.0), ("sugar", 15.0), ("sand", 9.0), ("sand", 5.0)].into_iter().enumerate()
     {
-        let weighing = app.start_weighing(mg(powder, target_mg), &format!("dose-{key}")).await.unwrap().0;
+        let weighing =
+            app.start_weighing(mg(powder, target_mg), &format!("dose-{key}")).await.unwrap().0;
         done(&app, &weighing.id).await;
     }
     app.shutdown().await.unwrap();
@@ -244,10 +279,14 @@ async fn requests_that_cannot_be_met_are_refused_and_store_nothing() {
     let (_folder, app) = open(functions()).await;
     let code = |error: Error| match error {
         Error::Conflict { code, .. } => code.to_owned(),
-        Error::Invalid(fields) => fields.iter().map(|f| f.field.as_str()).collect::<Vec<_>>().join(" "),
+        Error::Invalid(fields) => {
+            fields.iter().map(|f| f.field.as_str()).collect::<Vec<_>>().join(" ")
+        }
         other => panic!("{other:?}"),
     };
-    let refused = async |request: WeighingRequest, key: &str| code(app.start_weighing(request, key).await.unwrap_err());
+    let refused = async |request: WeighingRequest, key: &str| {
+        code(app.start_weighing(request, key).await.unwrap_err())
+    };
     assert_eq!(refused(mg("sand", 15.0), "k").await, "calibration_missing");
     calibrated(&app, "sand").await;
     assert_eq!(refused(mg("sand", 15.0), "").await, "Idempotency-Key");
@@ -257,7 +296,10 @@ async fn requests_that_cannot_be_met_are_refused_and_store_nothing() {
     assert_eq!(refused(mg("sand", f64::NAN), "k").await, "target.value");
     assert_eq!(refused(mg("sand", 500.0), "k").await, "target.value");
     let unit = |unit: &str| Target { value: 15.0, unit: unit.into() };
-    assert_eq!(refused(WeighingRequest { target: unit("kg"), ..mg("sand", 1.0) }, "k").await, "target.unit");
+    assert_eq!(
+        refused(WeighingRequest { target: unit("kg"), ..mg("sand", 1.0) }, "k").await,
+        "target.unit"
+    );
     let tolerance = |lower: f64, unit: &str| Tolerance { lower, upper: 1.0, unit: unit.into() };
     let with = |tolerance: Tolerance| WeighingRequest { tolerance, ..mg("sand", 15.0) };
     assert_eq!(refused(with(tolerance(-1.0, "mg")), "k").await, "tolerance.lower");

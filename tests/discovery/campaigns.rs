@@ -12,8 +12,13 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Causes that the simulator has a mechanism for.
-pub const FAMILIES: [Family; 5] =
-    [Family::Humidity, Family::RestTime, Family::Vibration, Family::ContainerAge, Family::FunnelHeight];
+pub const FAMILIES: [Family; 5] = [
+    Family::Humidity,
+    Family::RestTime,
+    Family::Vibration,
+    Family::ContainerAge,
+    Family::FunnelHeight,
+];
 /// Bounds on a campaign's duration and cost.
 const SECONDS_MAX: f64 = 3600.0;
 const RUNS_MAX: u64 = 220;
@@ -66,7 +71,8 @@ pub fn wanted(count: u64, first_seed: u64) -> Vec<(Family, u64)> {
 /// Results known from the file in the folder, and the others as they are computed.
 pub fn campaigns(folder: &Path, wanted: &[(Family, u64)], simulations: u32) -> Vec<Campaign> {
     let laboratory = Laboratory::new(folder.join("campaigns"));
-    let named: Vec<(String, u64)> = wanted.iter().map(|(family, seed)| (family.name().to_owned(), *seed)).collect();
+    let named: Vec<(String, u64)> =
+        wanted.iter().map(|(family, seed)| (family.name().to_owned(), *seed)).collect();
     let one = |asked: &(String, u64)| {
         let family = FAMILIES.into_iter().find(|family| family.name() == asked.0).unwrap();
         campaign(&laboratory, family, asked.1, simulations)
@@ -86,20 +92,24 @@ fn campaign(laboratory: &Laboratory, family: Family, seed: u64, simulations: u32
         n: it["n"].as_u64().unwrap(),
     });
     let versions = laboratory.versions();
-    let version =
-        versions.iter().find(|it| answer.extended.is_some() && it["id"].as_str() == answer.extended.as_deref());
+    let version = versions
+        .iter()
+        .find(|it| answer.extended.is_some() && it["id"].as_str() == answer.extended.as_deref());
     let extension = |of: &serde_json::Value| {
         let poured = of["fit"]["sets"].as_array().map_or(&[][..], Vec::as_slice);
-        let is_poured = |powder: &serde_json::Value| poured.iter().any(|set| set["powder"] == powder["powder"]);
+        let is_poured =
+            |powder: &serde_json::Value| poured.iter().any(|set| set["powder"] == powder["powder"]);
         let powders = of["powders"].as_array().unwrap();
-        let fitted: Vec<f64> = powders.iter().filter(|it| is_poured(it)).map(|it| number(&it["effect_deg"])).collect();
+        let fitted: Vec<f64> =
+            powders.iter().filter(|it| is_poured(it)).map(|it| number(&it["effect_deg"])).collect();
         Extension {
             mechanism: of["mechanism"].as_str().unwrap().to_owned(),
             fitted_deg: match fitted.len() {
                 0 => number(&of["effect_deg"]),
                 n => fitted.iter().sum::<f64>() / n as f64,
             },
-            heaps_deg: (!poured.is_empty()).then(|| [0, 1].map(|k| number(&of["fit"]["verification"][k]))),
+            heaps_deg: (!poured.is_empty())
+                .then(|| [0, 1].map(|k| number(&of["fit"]["verification"][k]))),
         }
     };
     let extensions = version.and_then(|it| it["body"]["extensions"].as_array());
@@ -125,7 +135,8 @@ pub fn table(all: &[Campaign]) -> String {
     }
     let mut text = String::from("whole campaigns, with simulated heaps\n");
     for it in all {
-        let says = if it.claimed.is_empty() { it.verdict.clone() } else { it.claimed.join(" and ") };
+        let says =
+            if it.claimed.is_empty() { it.verdict.clone() } else { it.claimed.join(" and ") };
         let right = if it.is_right { "right" } else { "not claimed, or wrong" };
         let verified = match (it.is_accepted, it.is_verified) {
             (false, _) => "no version",
@@ -135,12 +146,15 @@ pub fn table(all: &[Campaign]) -> String {
         text += &format!("   {} {}: {says} ({right}), {verified}, ", it.family, it.seed);
         text += &format!("{} simulator runs, {:.0} s", it.runs, it.wall_s);
         for of in &it.extensions {
-            let heaps =
-                of.heaps_deg.map_or("no heaps".to_owned(), |[deg, se]| format!("fresh heaps {deg:+.1} +- {se:.1}"));
+            let heaps = of.heaps_deg.map_or("no heaps".to_owned(), |[deg, se]| {
+                format!("fresh heaps {deg:+.1} +- {se:.1}")
+            });
             text += &format!("; {}: effect {:+.1} deg, {heaps}", of.mechanism, of.fitted_deg);
         }
         if let Some(HeldOut { before_deg, after_deg, ci95: [low, high], n }) = &it.held_out {
-            text += &format!("; held out {before_deg:.2} -> {after_deg:.2} deg [{low:+.2}, {high:+.2}], n {n}");
+            text += &format!(
+                "; held out {before_deg:.2} -> {after_deg:.2} deg [{low:+.2}, {high:+.2}], n {n}"
+            );
         }
         text.push('\n');
     }
@@ -151,11 +165,23 @@ pub fn table(all: &[Campaign]) -> String {
         values.sort_by(f64::total_cmp);
         (values[values.len() / 2], values[values.len() - 1])
     };
-    let ((seconds, seconds_most), (runs, runs_most)) = (sorted(&|it| it.wall_s), sorted(&|it| it.runs as f64));
+    let ((seconds, seconds_most), (runs, runs_most)) =
+        (sorted(&|it| it.wall_s), sorted(&|it| it.runs as f64));
     let within = all.iter().filter(|it| it.wall_s <= SECONDS_MAX && it.runs <= RUNS_MAX).count();
-    text += &line("whole campaigns: confident and right", all.iter().filter(|it| it.is_right).count(), all.len(), "");
-    text += &line("whole campaigns: a version that won on days left out", accepted.len(), all.len(), "");
-    text += &line("whole campaigns: of these, verified by fresh heaps", verified, accepted.len(), "");
+    text += &line(
+        "whole campaigns: confident and right",
+        all.iter().filter(|it| it.is_right).count(),
+        all.len(),
+        "",
+    );
+    text += &line(
+        "whole campaigns: a version that won on days left out",
+        accepted.len(),
+        all.len(),
+        "",
+    );
+    text +=
+        &line("whole campaigns: of these, verified by fresh heaps", verified, accepted.len(), "");
     text += &line("M15 a full campaign within 60 min and 220 runs", within, all.len(), "all");
     text += &format!(
         "M15 a full campaign: seconds, simulator runs: median {seconds:.0}, {runs:.0}, most {seconds_most:.0}, {runs_most:.0}  target <= 3600, <= 220\n"

@@ -85,7 +85,8 @@ pub fn repose_deg(grains: &Grains, seed: u64) -> Option<f64> {
 /// diameter 1.
 fn radii(grains: &Grains, rng: &mut Pcg64) -> Vec<f64> {
     // Box-Muller transform of two uniform numbers.
-    let normal = || (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt() * (TAU * rng.random::<f64>()).cos();
+    let normal =
+        || (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt() * (TAU * rng.random::<f64>()).cos();
     let cut = repeat_with(normal).filter(|it| it.abs() <= 2.0).take(grains.count);
     let drawn: Vec<f64> = cut.map(|it| (grains.size_spread * it).exp()).collect();
     let mean_cube = drawn.iter().map(|it| it.powi(3)).sum::<f64>() / drawn.len() as f64;
@@ -98,7 +99,9 @@ fn plate_of_grains(plate: f64, rng: &mut Pcg64) -> Vec<Sphere> {
     let rows = plate.ceil() as i32 + 2;
     let lattice = (-rows..=rows).flat_map(|row| (-rows..=rows).map(move |column| (row, column)));
     lattice
-        .map(|(row, column)| (f64::from(column) + 0.5 * f64::from(row & 1), f64::from(row) * 0.75_f64.sqrt()))
+        .map(|(row, column)| {
+            (f64::from(column) + 0.5 * f64::from(row & 1), f64::from(row) * 0.75_f64.sqrt())
+        })
         .filter(|(x, y)| x.hypot(*y) <= plate)
         .map(|(x, y)| Sphere::new(V3(x, y, rng.random_range(-0.15..0.15)), 0.5, Role::Glued))
         .collect()
@@ -120,7 +123,8 @@ fn pour(world: &mut World, radii: &[f64], plate: f64, dt: f64, rng: &mut Pcg64) 
     while poured < radii.len() {
         if time * RATE >= poured as f64 {
             let lies = |it: &&Sphere| it.role != Role::Fallen && it.velocity.norm() < 0.5;
-            let below = world.spheres.iter().filter(lies).filter(|it| it.at.0.hypot(it.at.1) < width);
+            let below =
+                world.spheres.iter().filter(lies).filter(|it| it.at.0.hypot(it.at.1) < width);
             let opening = below.map(|it| it.at.2 + it.radius).fold(0.0, f64::max) + DROP;
             let (out, around) = (width * rng.random::<f64>().sqrt(), TAU * rng.random::<f64>());
             let at = V3(out * around.cos(), out * around.sin(), opening + radii[poured]);
@@ -141,8 +145,10 @@ fn settle(world: &mut World, dt: f64) -> Option<()> {
     let rests = |_| {
         (0..(1.0 / dt) as usize).for_each(|_| world.step(dt));
         let free = world.spheres.iter().filter(|it| it.role == Role::Free);
-        let square = |it: &Sphere| it.velocity.dot(it.velocity) + it.gyration() * it.spin.dot(it.spin);
-        free.clone().map(|it| 0.5 * square(it) / it.lightness).sum::<f64>() <= ENERGY * free.count() as f64
+        let square =
+            |it: &Sphere| it.velocity.dot(it.velocity) + it.gyration() * it.spin.dot(it.spin);
+        free.clone().map(|it| 0.5 * square(it) / it.lightness).sum::<f64>()
+            <= ENERGY * free.count() as f64
     };
     (0..TIME_MAX).any(rests).then_some(())
 }
@@ -165,7 +171,8 @@ fn flank_deg(spheres: &[Sphere], plate: f64) -> Option<f64> {
     }
     let [mut squares, mut products] = [0.0; 2];
     for off_middle in (0..20).map(|p| (to - from) * (f64::from(p) / 19.0 - 0.5)) {
-        let height = on_rays((from + to) / 2.0 + off_middle).map(|it| it.0).sum::<f64>() / f64::from(RAYS);
+        let height =
+            on_rays((from + to) / 2.0 + off_middle).map(|it| it.0).sum::<f64>() / f64::from(RAYS);
         squares += off_middle * off_middle;
         products += off_middle * height;
     }
@@ -210,7 +217,16 @@ fn thrown(at: V3, velocity: V3, radius: f64) -> Sphere {
 impl Sphere {
     fn new(at: V3, radius: f64, role: Role) -> Self {
         let lightness = if role == Role::Free { (2.0 * radius).powi(-3) } else { 0.0 };
-        Self { at, velocity: V3::ZERO, spin: V3::ZERO, force: V3::ZERO, torque: V3::ZERO, radius, lightness, role }
+        Self {
+            at,
+            velocity: V3::ZERO,
+            spin: V3::ZERO,
+            force: V3::ZERO,
+            torque: V3::ZERO,
+            radius,
+            lightness,
+            role,
+        }
     }
 
     /// 2/5 R², a sphere's inertia over its mass.
@@ -240,19 +256,30 @@ struct World {
 
 impl World {
     fn new(grains: &Grains, spheres: Vec<Sphere>) -> Self {
-        Self { grains: *grains, gravity: V3(0.0, 0.0, -1.0), spheres, pairs: Vec::new(), listed_at: Vec::new() }
+        Self {
+            grains: *grains,
+            gravity: V3(0.0, 0.0, -1.0),
+            spheres,
+            pairs: Vec::new(),
+            listed_at: Vec::new(),
+        }
     }
 
     /// Advances by dt, by semi-implicit Euler: forces, then velocities, then positions.
     fn step(&mut self, dt: f64) {
         let moved = |(it, then): (&Sphere, &V3)| (it.at - *then).norm() > 0.5 * SKIN;
-        if self.listed_at.len() < self.spheres.len() || self.spheres.iter().zip(&self.listed_at).any(moved) {
+        if self.listed_at.len() < self.spheres.len()
+            || self.spheres.iter().zip(&self.listed_at).any(moved)
+        {
             self.list_pairs();
         }
         for pair in &mut self.pairs {
             let (a, b) = (self.spheres[pair.a], self.spheres[pair.b]);
-            let Some([force, torque_a, torque_b]) = touch(&self.grains, &a, &b, pair, dt) else { continue };
-            for (i, force, torque) in [(pair.a, force, torque_a), (pair.b, force * -1.0, torque_b)] {
+            let Some([force, torque_a, torque_b]) = touch(&self.grains, &a, &b, pair, dt) else {
+                continue;
+            };
+            for (i, force, torque) in [(pair.a, force, torque_a), (pair.b, force * -1.0, torque_b)]
+            {
                 self.spheres[i].force = self.spheres[i].force + force;
                 self.spheres[i].torque = self.spheres[i].torque + torque;
             }
@@ -276,7 +303,8 @@ impl World {
             *it = Sphere::new(it.at, it.radius, Role::Fallen);
         }
         let spheres = &self.spheres;
-        let mut along: Vec<usize> = (0..spheres.len()).filter(|&i| spheres[i].role != Role::Fallen).collect();
+        let mut along: Vec<usize> =
+            (0..spheres.len()).filter(|&i| spheres[i].role != Role::Fallen).collect();
         along.sort_by(|&i, &j| spheres[i].at.0.total_cmp(&spheres[j].at.0));
         let widest = spheres.iter().map(|it| it.radius).fold(0.0, f64::max);
         let old = std::mem::take(&mut self.pairs);
@@ -287,7 +315,8 @@ impl World {
                 let moves = spheres[i].lightness + spheres[j].lightness > 0.0;
                 if moves && (spheres[i].at - spheres[j].at).norm() < near {
                     let (a, b) = (i.min(j), i.max(j));
-                    let known = old.binary_search_by_key(&(a, b), |it| (it.a, it.b)).map(|at| old[at]);
+                    let known =
+                        old.binary_search_by_key(&(a, b), |it| (it.a, it.b)).map(|at| old[at]);
                     self.pairs.push(known.unwrap_or(Pair { a, b, slip: V3::ZERO, roll: V3::ZERO }));
                 }
             }
@@ -324,12 +353,24 @@ fn touch(grains: &Grains, a: &Sphere, b: &Sphere, pair: &mut Pair, dt: f64) -> O
     let tangential = TANGENTIAL * stiffness;
     // The plane of slip has turned with the pair since the last step.
     pair.slip = pair.slip - normal * pair.slip.dot(normal);
-    let friction = pull(&mut pair.slip, velocity - normal * approach, dt, tangential, mass, grains.friction * load);
+    let friction = pull(
+        &mut pair.slip,
+        velocity - normal * approach,
+        dt,
+        tangential,
+        mass,
+        grains.friction * load,
+    );
     let square = radius * radius;
-    let (stiff, inertia, limit) = (tangential * square, 0.4 * mass * square, grains.rolling * radius * load);
+    let (stiff, inertia, limit) =
+        (tangential * square, 0.4 * mass * square, grains.rolling * radius * load);
     let resistance = pull(&mut pair.roll, a.spin - b.spin, dt, stiff, inertia, limit);
     let turning = friction.cross(normal);
-    Some([normal * push + attraction + friction, turning * arm_a + resistance, turning * arm_b - resistance])
+    Some([
+        normal * push + attraction + friction,
+        turning * arm_a + resistance,
+        turning * arm_b - resistance,
+    ])
 }
 
 /// Loads a damped spring, which yields at a limit, by a rate over dt; returns the resulting force
@@ -390,7 +431,8 @@ impl Mul<f64> for V3 {
 }
 
 /// Grains that only touch: no bond, no resistance to rolling.
-const SMOOTH: Grains = Grains { friction: 0.5, rolling: 0.0, size_spread: 0.0, bond: 0.0, count: 500 };
+const SMOOTH: Grains =
+    Grains { friction: 0.5, rolling: 0.0, size_spread: 0.0, bond: 0.0, count: 500 };
 
 #[test]
 fn an_impact_gives_back_the_speed_of_a_damped_oscillator() {
@@ -414,14 +456,20 @@ fn grains_that_collide_keep_their_momentum_and_angular_momentum() {
     let momenta = |world: &World| {
         world.spheres.iter().fold((V3::ZERO, V3::ZERO), |(linear, angular), it| {
             let momentum = it.velocity * (1.0 / it.lightness);
-            (linear + momentum, angular + it.at.cross(momentum) + it.spin * (it.gyration() / it.lightness))
+            (
+                linear + momentum,
+                angular + it.at.cross(momentum) + it.spin * (it.gyration() / it.lightness),
+            )
         })
     };
     let before = momenta(&world);
     (0..1000).for_each(|_| world.step(step_time(0.4)));
     let after = momenta(&world);
     assert!(world.spheres[1].spin.norm() > 0.1, "the grains never rubbed");
-    assert!((after.0 - before.0).norm() < 1e-12 && (after.1 - before.1).norm() < 1e-12, "{before:?} became {after:?}");
+    assert!(
+        (after.0 - before.0).norm() < 1e-12 && (after.1 - before.1).norm() < 1e-12,
+        "{before:?} became {after:?}"
+    );
 }
 
 /// A sphere placed on a slope of this tangent has this acceleration after a while.
@@ -439,7 +487,10 @@ fn expect_down_a_slope(grains: &Grains, tangent: f64, expected: f64) {
     };
     let before = speed_later();
     let acceleration = (speed_later() - before) / (f64::from(steps) * dt);
-    assert!((acceleration - expected).abs() < 1e-3, "{acceleration} is not {expected} on {tangent}, {grains:?}");
+    assert!(
+        (acceleration - expected).abs() < 1e-3,
+        "{acceleration} is not {expected} on {tangent}, {grains:?}"
+    );
 }
 
 #[test]
@@ -470,8 +521,10 @@ fn a_sphere_stands_on_slopes_flatter_than_its_rolling_resistance_and_rolls_down_
 fn a_cone_reads_as_its_slope() {
     for slope_deg in [15.0_f64, 30.0, 50.0] {
         let height = |x: f64, y: f64| (8.0 - x.hypot(y)) * slope_deg.to_radians().tan();
-        let places = (0..81 * 81).map(|i| (f64::from(i % 81) * 0.2 - 8.0, f64::from(i / 81) * 0.2 - 8.0));
-        let cone: Vec<Sphere> = places.map(|(x, y)| Sphere::new(V3(x, y, height(x, y)), 0.5, Role::Free)).collect();
+        let places =
+            (0..81 * 81).map(|i| (f64::from(i % 81) * 0.2 - 8.0, f64::from(i / 81) * 0.2 - 8.0));
+        let cone: Vec<Sphere> =
+            places.map(|(x, y)| Sphere::new(V3(x, y, height(x, y)), 0.5, Role::Free)).collect();
         let read = flank_deg(&cone, 8.0).unwrap();
         assert!((read - slope_deg).abs() < 0.5, "{read} is not {slope_deg}");
     }

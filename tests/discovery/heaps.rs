@@ -42,7 +42,8 @@ impl Kind {
 }
 
 /// Friction and rolling resistance of the powders.
-const POWDERS: [(&str, f64, f64); 3] = [("glass", 0.4, 0.05), ("quartz", 0.5, 0.1), ("alumina", 0.6, 0.12)];
+const POWDERS: [(&str, f64, f64); 3] =
+    [("glass", 0.4, 0.05), ("quartz", 0.5, 0.1), ("alumina", 0.6, 0.12)];
 const DAYS: u32 = 16;
 const REPEATS: u32 = 2;
 /// Attraction in the most humid air over the weight of a grain.
@@ -62,7 +63,8 @@ pub fn campaign(kind: Kind, seed: u64) -> String {
         let humidity = rng.random_range(28.0..75.0);
         let temperature = rng.random_range(17.0..26.0);
         let shift = DAY_DEG * (0..12).map(|_| rng.random_range(-0.5..0.5)).sum::<f64>();
-        let mut runs: Vec<usize> = (0..POWDERS.len()).flat_map(|powder| [powder; REPEATS as usize]).collect();
+        let mut runs: Vec<usize> =
+            (0..POWDERS.len()).flat_map(|powder| [powder; REPEATS as usize]).collect();
         (1..runs.len()).rev().for_each(|k| runs.swap(k, rng.random_range(0..=k as u64) as usize));
         for (place, &powder) in runs.iter().enumerate() {
             let (name, friction, rolling) = POWDERS[powder];
@@ -76,7 +78,9 @@ pub fn campaign(kind: Kind, seed: u64) -> String {
                 count: COUNT,
             };
             // A heap that does not cover its plate is poured again.
-            let angle = std::iter::repeat_with(|| repose_deg(&grains, rng.random())).take(20).find_map(|angle| angle);
+            let angle = std::iter::repeat_with(|| repose_deg(&grains, rng.random()))
+                .take(20)
+                .find_map(|angle| angle);
             let angle = angle.expect("one heap of twenty covers its plate") + shift;
             let batch = ["A", "B"][batch as usize];
             let operator = ["Ada", "Ben"][operator as usize];

@@ -58,9 +58,14 @@ impl Laboratory {
     fn flip(&self, arguments: &[&str]) -> String {
         // Tests know the program; the report gets its path.
         let known = option_env!("CARGO_BIN_EXE_flip").map(str::to_owned);
-        let program = known.or_else(|| std::env::var("FLIP_BIN").ok()).expect("FLIP_BIN names the program");
-        let output =
-            Command::new(program).arg("--data-dir").arg(self.folder.join("data")).args(arguments).output().unwrap();
+        let program =
+            known.or_else(|| std::env::var("FLIP_BIN").ok()).expect("FLIP_BIN names the program");
+        let output = Command::new(program)
+            .arg("--data-dir")
+            .arg(self.folder.join("data"))
+            .args(arguments)
+            .output()
+            .unwrap();
         let errors = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "flip {}: {errors}", arguments.join(" "));
         String::from_utf8(output.stdout).unwrap()
@@ -85,7 +90,16 @@ impl Laboratory {
     fn report(&self, csv: &str, simulations: u32, more: &[&str]) -> Value {
         let (file, out) = (self.file("M.csv", csv), self.folder.join("out").display().to_string());
         let simulations = simulations.to_string();
-        let usual = ["discover", "--measurements", &file, "--out", &out, "--simulations", &simulations, "--json"];
+        let usual = [
+            "discover",
+            "--measurements",
+            &file,
+            "--out",
+            &out,
+            "--simulations",
+            &simulations,
+            "--json",
+        ];
         serde_json::from_str(&self.flip(&[&usual[..], more].concat())).unwrap()
     }
 
@@ -95,22 +109,40 @@ impl Laboratory {
     }
 
     /// Runs the command on balance readings, with or without angles.
-    pub fn discover_traces(&self, traces: &str, measurements: Option<&str>, simulations: u32) -> Answer {
+    pub fn discover_traces(
+        &self,
+        traces: &str,
+        measurements: Option<&str>,
+        simulations: u32,
+    ) -> Answer {
         let mut files = vec!["--traces".to_owned(), self.file("T.csv", traces)];
-        files.extend(measurements.map_or(Vec::new(), |csv| vec!["--measurements".to_owned(), self.file("M.csv", csv)]));
-        let (out, simulations) = (self.folder.join("out").display().to_string(), simulations.to_string());
+        files.extend(
+            measurements.map_or(Vec::new(), |csv| {
+                vec!["--measurements".to_owned(), self.file("M.csv", csv)]
+            }),
+        );
+        let (out, simulations) =
+            (self.folder.join("out").display().to_string(), simulations.to_string());
         let files: Vec<&str> = files.iter().map(String::as_str).collect();
         let rest = ["--out", &out, "--simulations", &simulations, "--json"];
-        Answer::of(&serde_json::from_str(&self.flip(&[&["discover"], &files[..], &rest].concat())).unwrap())
+        Answer::of(
+            &serde_json::from_str(&self.flip(&[&["discover"], &files[..], &rest].concat()))
+                .unwrap(),
+        )
     }
 
     /// Angles predicted by an extended simulator for the rows of a file: before and after.
     pub fn predict(&self, version: &str, csv: &str) -> Vec<[f64; 2]> {
         let file = self.file("new.csv", csv);
-        let text = self.flip(&["discover", "predict", "--simulator", version, "--measurements", &file]);
+        let text =
+            self.flip(&["discover", "predict", "--simulator", version, "--measurements", &file]);
         let mut reader = csv::Reader::from_reader(text.as_bytes());
         let number = |record: &csv::StringRecord, k: usize| record[k].parse().unwrap_or(f64::NAN);
-        reader.records().map(|record| record.unwrap()).map(|record| [number(&record, 2), number(&record, 4)]).collect()
+        reader
+            .records()
+            .map(|record| record.unwrap())
+            .map(|record| [number(&record, 2), number(&record, 4)])
+            .collect()
     }
 }
 
@@ -160,8 +192,9 @@ impl Answer {
         let text = |value: &Value| value.as_str().map(str::to_owned);
         let verdict = report["verdict"].as_str().unwrap().to_owned();
         let causes = report["causes"].as_array().unwrap();
-        let claimed =
-            causes.iter().filter(|it| verdict == "cause" && it["inclusion_probability"].as_f64().unwrap() >= CLAIM);
+        let claimed = causes.iter().filter(|it| {
+            verdict == "cause" && it["inclusion_probability"].as_f64().unwrap() >= CLAIM
+        });
         let claimed = claimed.filter_map(|it| text(&it["mechanism"])).collect();
         let finding = report["findings"].get(0);
         let effect = finding.filter(|it| it["powder"].is_null()).map(|it| {
@@ -175,10 +208,20 @@ impl Answer {
             claimed,
             top: report["evidence"].get(0).and_then(|it| text(&it["cause"])).unwrap_or_default(),
             top_family: report["evidence"].get(0).and_then(|it| text(&it["family"])),
-            ambiguous_between: report["ambiguous_between"].as_array().unwrap().iter().filter_map(text).collect(),
+            ambiguous_between: report["ambiguous_between"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .filter_map(text)
+                .collect(),
             covariate: text(&report["unexplained"]["covariate"]),
             form_class: text(&report["unexplained"]["form_class"]),
-            channels: report["findings"].as_array().unwrap().iter().filter_map(|it| text(&it["channel"])).collect(),
+            channels: report["findings"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .filter_map(|it| text(&it["channel"]))
+                .collect(),
             effect,
             over: finding
                 .and_then(|it| it["covariate"].as_str())
@@ -209,10 +252,9 @@ impl Answer {
     pub fn is_confident_and_right(&self, case: &Case) -> bool {
         !self.claimed.is_empty()
             && self.false_claims(case) == 0
-            && case
-                .mechanisms
-                .iter()
-                .all(|it| self.claimed.iter().any(|claimed| claimed == it) || !case.also_right.is_empty())
+            && case.mechanisms.iter().all(|it| {
+                self.claimed.iter().any(|claimed| claimed == it) || !case.also_right.is_empty()
+            })
     }
 
     /// Whether the most probable cause is one that is at work.

@@ -29,7 +29,9 @@ mod traces;
 mod truth;
 
 use judge::Laboratory;
-use rates::{LARGE_DEG, SIMULATIONS, Scored, scored, table, wanted, wanted_heaps, wanted_without_days};
+use rates::{
+    LARGE_DEG, SIMULATIONS, Scored, scored, table, wanted, wanted_heaps, wanted_without_days,
+};
 use solver::Defect;
 use truth::Family;
 
@@ -69,7 +71,9 @@ fn verdict(nulls: &[Scored], effects: &[Scored]) -> Result<(), String> {
 #[test]
 fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     let folder = tempfile::tempdir().unwrap();
-    let of = |families: &[Family], seeds| scored(folder.path(), &wanted(families, LARGE_DEG, seeds), SIMULATIONS);
+    let of = |families: &[Family], seeds| {
+        scored(folder.path(), &wanted(families, LARGE_DEG, seeds), SIMULATIONS)
+    };
     let nulls = of(&Family::NULLS, 0..2);
     let families = [
         Family::Humidity,
@@ -92,7 +96,11 @@ fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     // The command itself without its days, on nulls whose days differ: with no more of these than
     // of the others, it exceeds the same bound.
     let restless = of(&[Family::NullRestless], 0..RESTLESS);
-    let blind = scored(folder.path(), &wanted_without_days(&[Family::NullRestless], 0..RESTLESS), SIMULATIONS);
+    let blind = scored(
+        folder.path(),
+        &wanted_without_days(&[Family::NullRestless], 0..RESTLESS),
+        SIMULATIONS,
+    );
     println!("{}", table(&restless.iter().chain(&blind).cloned().collect::<Vec<_>>()));
     verdict(&restless, &effects).unwrap();
     let failed = verdict(&blind, &effects).unwrap_err();
@@ -126,10 +134,15 @@ fn what_moved_together_is_named_after_the_experiment_that_is_asked_for() {
     let answer = laboratory.discover(&case.csv, SIMULATIONS);
     assert_eq!(answer.verdict, "ambiguous", "{answer:?}");
     let right = case.mechanism.unwrap();
-    assert!(answer.ambiguous_between.iter().any(|it| it == right), "{:?}, hidden is {right}", answer.ambiguous_between);
+    assert!(
+        answer.ambiguous_between.iter().any(|it| it == right),
+        "{:?}, hidden is {right}",
+        answer.ambiguous_between
+    );
     let column = case.covariate.as_deref().unwrap();
     assert!(
-        !answer.experiment.is_empty() && answer.experiment.iter().all(|run| run.contains_key(column)),
+        !answer.experiment.is_empty()
+            && answer.experiment.iter().all(|run| run.contains_key(column)),
         "{answer:?}"
     );
     let after = case.after_experiment(&answer.experiment);
@@ -156,7 +169,11 @@ fn is_file(name: &str, csv: &str) {
         std::fs::create_dir_all(campaigns()).unwrap();
         std::fs::write(&path, csv).unwrap();
     }
-    assert!(std::fs::read_to_string(&path).is_ok_and(|text| text == csv), "{}: run with UPDATE=1", path.display());
+    assert!(
+        std::fs::read_to_string(&path).is_ok_and(|text| text == csv),
+        "{}: run with UPDATE=1",
+        path.display()
+    );
 }
 
 fn campaigns() -> std::path::PathBuf {
@@ -166,8 +183,11 @@ fn campaigns() -> std::path::PathBuf {
 /// Size of the effects shown in the documentation, degrees.
 const SHOWN_DEG: f64 = 1.25;
 /// The campaigns shown in the documentation, by file: their hidden effects are known here only.
-const SHOWN: [(&str, Family, u64); 3] =
-    [("humidity", Family::Humidity, 3), ("nothing", Family::NullPlain, 3), ("confounded", Family::Confounded, 3)];
+const SHOWN: [(&str, Family, u64); 3] = [
+    ("humidity", Family::Humidity, 3),
+    ("nothing", Family::NullPlain, 3),
+    ("confounded", Family::Confounded, 3),
+];
 
 /// `UPDATE=1` writes them.
 #[test]

@@ -8,8 +8,10 @@
 use crate::judge::Laboratory;
 use crate::rates::SIMULATIONS;
 
-const DOSES: [(&str, &str); 2] =
-    [("simulated", include_str!("own_doses/simulated.csv")), ("emulated", include_str!("own_doses/emulated.csv"))];
+const DOSES: [(&str, &str); 2] = [
+    ("simulated", include_str!("own_doses/simulated.csv")),
+    ("emulated", include_str!("own_doses/emulated.csv")),
+];
 
 /// The doses of one powder, or all.
 fn of_powder(csv: &str, powder: Option<&str>) -> String {
@@ -31,9 +33,16 @@ fn doses_of_the_simulator_are_not_said_to_depart_from_it() {
             }
             let answer = laboratory.discover_traces(&doses, None, SIMULATIONS);
             assert_eq!(answer.verdict, "no_discrepancy", "{bench} {powder:?}: {answer:?}");
-            assert!(answer.claimed.is_empty() && answer.channels.is_empty(), "{bench} {powder:?}: {answer:?}");
+            assert!(
+                answer.claimed.is_empty() && answer.channels.is_empty(),
+                "{bench} {powder:?}: {answer:?}"
+            );
             // None of it was judged, and the answer says so.
-            assert!(answer.sentence.contains("simulated doses"), "{bench} {powder:?}: {}", answer.sentence);
+            assert!(
+                answer.sentence.contains("simulated doses"),
+                "{bench} {powder:?}: {}",
+                answer.sentence
+            );
         }
     }
 }

@@ -45,12 +45,17 @@ const WITHOUT_DAYS: &str = " without its days";
 
 /// Every family with every seed.
 pub fn wanted(families: &[Family], size_deg: f64, seeds: std::ops::Range<u64>) -> Vec<Asked> {
-    seeds.flat_map(|seed| families.iter().map(move |&family| (Source::Formulas(family), size_deg, seed))).collect()
+    seeds
+        .flat_map(|seed| {
+            families.iter().map(move |&family| (Source::Formulas(family), size_deg, seed))
+        })
+        .collect()
 }
 
 /// Every family with every seed, for the saboteur.
 pub fn wanted_without_days(families: &[Family], seeds: std::ops::Range<u64>) -> Vec<Asked> {
-    let of = |seed| families.iter().map(move |&family| (Source::WithoutDays(family), LARGE_DEG, seed));
+    let of =
+        |seed| families.iter().map(move |&family| (Source::WithoutDays(family), LARGE_DEG, seed));
     seeds.flat_map(of).collect()
 }
 
@@ -134,11 +139,19 @@ fn score_heaps(laboratory: &Laboratory, kind: heaps::Kind, seed: u64, simulation
     }
 }
 
-fn score_formulas(laboratory: &Laboratory, family: Family, size_deg: f64, seed: u64, simulations: u32) -> Scored {
+fn score_formulas(
+    laboratory: &Laboratory,
+    family: Family,
+    size_deg: f64,
+    seed: u64,
+    simulations: u32,
+) -> Scored {
     let case = case(family, size_deg, seed);
     let answer = laboratory.discover(&case.csv, simulations);
-    let after_experiment =
-        (family == Family::Confounded && !answer.experiment.is_empty() && answer.verdict == "ambiguous").then(|| {
+    let after_experiment = (family == Family::Confounded
+        && !answer.experiment.is_empty()
+        && answer.verdict == "ambiguous")
+        .then(|| {
             let more = case.after_experiment(&answer.experiment);
             let then = laboratory.discover(&more.csv, simulations);
             (then.claimed.len(), then.is_confident_and_right(&case))
@@ -164,7 +177,8 @@ fn scored_of(case: &Case, answer: Answer, asked_deg: f64, seed: u64) -> Scored {
         claims: answer.claimed.len(),
         false_claims: answer.false_claims(case),
         is_covariate_right: answer.verdict == "unexplained" && answer.covariate == case.covariate,
-        is_form_right: answer.form_class.is_some() && answer.form_class.as_deref() == case.form_class,
+        is_form_right: answer.form_class.is_some()
+            && answer.form_class.as_deref() == case.form_class,
         is_effect_covered: is_effect_covered(case, &answer),
         coverage90: answer.coverage90,
         new_days: None,
@@ -190,7 +204,11 @@ fn without_days(csv: &str) -> String {
     writer.write_record(&header).unwrap();
     for (k, row) in rows.iter().enumerate() {
         let session = number(k).to_string();
-        writer.write_record(row.iter().enumerate().map(|(j, cell)| if j == place { &session } else { cell })).unwrap();
+        writer
+            .write_record(
+                row.iter().enumerate().map(|(j, cell)| if j == place { &session } else { cell }),
+            )
+            .unwrap();
     }
     String::from_utf8(writer.into_inner().unwrap()).unwrap()
 }
@@ -198,11 +216,13 @@ fn without_days(csv: &str) -> String {
 /// The interval of the report at 90 %: its 95 % interval narrowed by the ratio of the normal
 /// deviates.
 fn is_effect_covered(case: &Case, answer: &Answer) -> Option<bool> {
-    let single = case.mechanisms.len() == 1 && answer.claimed.len() == 1 && answer.false_claims(case) == 0;
+    let single =
+        case.mechanisms.len() == 1 && answer.claimed.len() == 1 && answer.false_claims(case) == 0;
     let has_span = case.covariate.is_some() && case.effect_5_95_deg.is_finite();
     // For names, the report gives the two that differ most, the truth the first and the last:
     // comparable if there are two.
-    let is_of_names = ["batch", "method", "operator", "plate"].contains(&case.covariate.as_deref().unwrap_or(""));
+    let is_of_names =
+        ["batch", "method", "operator", "plate"].contains(&case.covariate.as_deref().unwrap_or(""));
     if !single || !has_span || is_of_names {
         return None;
     }
@@ -221,7 +241,8 @@ fn new_days(laboratory: &Laboratory, case: &Case, answer: &Answer) -> Option<[f6
     let predicted = laboratory.predict(version, &new.csv);
     assert_eq!(predicted.len(), new.noise_free_deg.len(), "{}: a row each", case.name);
     let mse = |k: usize| {
-        let squares = predicted.iter().zip(&new.noise_free_deg).map(|(of, truth)| (of[k] - truth).powi(2));
+        let squares =
+            predicted.iter().zip(&new.noise_free_deg).map(|(of, truth)| (of[k] - truth).powi(2));
         squares.sum::<f64>() / predicted.len() as f64
     };
     Some([mse(0), mse(1)])
@@ -230,7 +251,8 @@ fn new_days(laboratory: &Laboratory, case: &Case, answer: &Answer) -> Option<[f6
 /// Errors of powders left out completely, from the report: noise is in both, before and after, and
 /// the effect in the first only.
 fn other_powders(case: &Case, answer: &Answer) -> Option<f64> {
-    let effect = case.effect_deg.iter().map(|it| it * it).sum::<f64>() / case.effect_deg.len() as f64;
+    let effect =
+        case.effect_deg.iter().map(|it| it * it).sum::<f64>() / case.effect_deg.len() as f64;
     let [before, after] = answer.by_powder.filter(|_| answer.extended.is_some())?;
     Some((before.powi(2) - after.powi(2)) / effect)
 }
@@ -243,8 +265,11 @@ pub fn scored(folder: &Path, wanted: &[Asked], simulations: u32) -> Vec<Scored> 
         .lines()
         .filter_map(|line| serde_json::from_str(line).ok())
         .collect();
-    let key = |family: &str, size: f64, seed: u64| (family.to_owned(), (100.0 * size).round() as i64, seed);
-    let of: BTreeMap<_, Scored> = known.into_iter().map(|it| (key(&it.family, it.asked_deg, it.seed), it)).collect();
+    let key = |family: &str, size: f64, seed: u64| {
+        (family.to_owned(), (100.0 * size).round() as i64, seed)
+    };
+    let of: BTreeMap<_, Scored> =
+        known.into_iter().map(|it| (key(&it.family, it.asked_deg, it.seed), it)).collect();
     let of = std::sync::Mutex::new(of);
     let named = |&(source, size, seed): &Asked| key(&source.name(), size, seed);
     side_by_side(folder, wanted.len(), |laboratory, k| {
@@ -267,10 +292,15 @@ pub fn scored(folder: &Path, wanted: &[Asked], simulations: u32) -> Vec<Scored> 
 pub fn line(name: &str, hits: usize, of: usize, target: &str) -> String {
     let [low, high] = limits(hits, of.max(1)).map(|limit| 100.0 * limit);
     let rate = 100.0 * hits as f64 / of.max(1) as f64;
-    format!("{name:<58} {hits:>4} of {of:<4} {rate:>5.1} %  [{low:.1}, {high:.1}]  target {target}\n")
+    format!(
+        "{name:<58} {hits:>4} of {of:<4} {rate:>5.1} %  [{low:.1}, {high:.1}]  target {target}\n"
+    )
 }
 
-fn count<'a>(of: impl Iterator<Item = &'a Scored> + Clone, which: impl Fn(&Scored) -> bool) -> (usize, usize) {
+fn count<'a>(
+    of: impl Iterator<Item = &'a Scored> + Clone,
+    which: impl Fn(&Scored) -> bool,
+) -> (usize, usize) {
     (of.clone().filter(|it| which(it)).count(), of.count())
 }
 
@@ -280,7 +310,8 @@ fn is_single(it: &Scored) -> bool {
 
 /// The table of rates.
 pub fn table(all: &[Scored]) -> String {
-    let (sabotaged, all): (Vec<_>, Vec<_>) = all.iter().cloned().partition(|it| it.family.ends_with(WITHOUT_DAYS));
+    let (sabotaged, all): (Vec<_>, Vec<_>) =
+        all.iter().cloned().partition(|it| it.family.ends_with(WITHOUT_DAYS));
     let mut text = String::new();
     let mut rate = |name: &str, (hits, of): (usize, usize), target: &str| {
         if of > 0 {
@@ -304,7 +335,11 @@ pub fn table(all: &[Scored]) -> String {
     }
     let effects = all.iter().filter(is_of_formulas).filter(|it| !it.is_null);
     let claims: usize = effects.clone().map(|it| it.claims).sum();
-    rate("M2 false claims of all claims", (effects.clone().map(|it| it.false_claims).sum(), claims), "<= 5 %");
+    rate(
+        "M2 false claims of all claims",
+        (effects.clone().map(|it| it.false_claims).sum(), claims),
+        "<= 5 %",
+    );
     let large = effects.clone().filter(|it| is_single(it) && it.size_deg == LARGE_DEG);
     rate("M3 found, one cause, L", count(large.clone(), |it| it.is_found), ">= 95 %");
     for family in Family::SINGLES {
@@ -316,17 +351,37 @@ pub fn table(all: &[Scored]) -> String {
         rate(&format!("M3 found, {name}, M"), count(of, |it| it.is_found), target);
     }
     let detected = large.clone().filter(|it| it.is_found);
-    rate("M4 most probable cause right, of those found, L", count(detected, |it| it.is_top_right), ">= 90 %");
-    rate("M5 confident and right, one cause, L", count(large.clone(), |it| it.is_confident_and_right), ">= 85 %");
+    rate(
+        "M4 most probable cause right, of those found, L",
+        count(detected, |it| it.is_top_right),
+        ">= 90 %",
+    );
+    rate(
+        "M5 confident and right, one cause, L",
+        count(large.clone(), |it| it.is_confident_and_right),
+        ">= 85 %",
+    );
     for family in Family::SINGLES {
         let of = large.clone().filter(|it| it.family == family.name());
         rate(&format!("   {}", family.name()), count(of, |it| it.is_confident_and_right), "");
     }
     let of = |family: Family| effects.clone().filter(move |it| it.family == family.name());
-    rate("M5 confident and right, two causes", count(of(Family::TwoCauses), |it| it.is_confident_and_right), ">= 60 %");
-    rate("M6 confident and wrong, all effects", count(effects.clone(), |it| it.false_claims > 0), "<= 5 %");
+    rate(
+        "M5 confident and right, two causes",
+        count(of(Family::TwoCauses), |it| it.is_confident_and_right),
+        ">= 60 %",
+    );
+    rate(
+        "M6 confident and wrong, all effects",
+        count(effects.clone(), |it| it.false_claims > 0),
+        "<= 5 %",
+    );
     let confounded = of(Family::Confounded);
-    rate("M7 confounded: confident and wrong", count(confounded.clone(), |it| it.false_claims > 0), "<= 5 %");
+    rate(
+        "M7 confounded: confident and wrong",
+        count(confounded.clone(), |it| it.false_claims > 0),
+        "<= 5 %",
+    );
     let asked = confounded.filter(|it| it.after_experiment.is_some());
     rate(
         "M7 right after the experiment asked for",
@@ -334,28 +389,52 @@ pub fn table(all: &[Scored]) -> String {
         ">= 80 %",
     );
     let recorded = of(Family::Recorded).filter(|it| it.size_deg == LARGE_DEG);
-    rate("M8 outside the catalogue: right variable", count(recorded.clone(), |it| it.is_covariate_right), ">= 85 %");
+    rate(
+        "M8 outside the catalogue: right variable",
+        count(recorded.clone(), |it| it.is_covariate_right),
+        ">= 85 %",
+    );
     let named = recorded.filter(|it| it.is_covariate_right);
     rate("M8 class of the law right, of those", count(named, |it| it.is_form_right), ">= 60 %");
     rate("M8 nobody recorded it: found", count(of(Family::Unrecorded), |it| it.is_found), "");
     let told = effects.clone().filter(|it| it.is_effect_covered.is_some());
-    rate("M9 effect within its 90 % interval", count(told, |it| it.is_effect_covered == Some(true)), "85 to 95 %");
+    rate(
+        "M9 effect within its 90 % interval",
+        count(told, |it| it.is_effect_covered == Some(true)),
+        "85 to 95 %",
+    );
     for kind in heaps::Kind::ALL {
         let of = all.iter().filter(|it| it.family == kind.name());
         match kind.mechanism() {
-            None => rate("heaps of another simulator, nothing done: declared", count(of, |it| it.is_found), "<= 5 %"),
+            None => rate(
+                "heaps of another simulator, nothing done: declared",
+                count(of, |it| it.is_found),
+                "<= 5 %",
+            ),
             Some(_) => {
                 let name = format!("heaps of another simulator, {}", kind.name());
                 rate(&format!("{name}: found"), count(of.clone(), |it| it.is_found), "");
-                rate(&format!("{name}: named"), count(of.clone(), |it| it.is_confident_and_right), "");
+                rate(
+                    &format!("{name}: named"),
+                    count(of.clone(), |it| it.is_confident_and_right),
+                    "",
+                );
                 rate(&format!("{name}: wrong"), count(of, |it| it.false_claims > 0), "<= 5 %");
             }
         }
     }
     let wild = all.iter().filter(|it| it.family == "wild");
-    rate("wild: nothing hidden, declared", count(wild.clone().filter(|it| it.is_null), |it| it.is_found), "<= 5 %");
+    rate(
+        "wild: nothing hidden, declared",
+        count(wild.clone().filter(|it| it.is_null), |it| it.is_found),
+        "<= 5 %",
+    );
     rate("wild: found", count(wild.clone().filter(|it| !it.is_null), |it| it.is_found), "");
-    rate("wild: confident and wrong", count(wild.filter(|it| !it.is_null), |it| it.false_claims > 0), "<= 5 %");
+    rate(
+        "wild: confident and wrong",
+        count(wild.filter(|it| !it.is_null), |it| it.false_claims > 0),
+        "<= 5 %",
+    );
     text += &gains(&all);
     text
 }
@@ -363,7 +442,11 @@ pub fn table(all: &[Scored]) -> String {
 /// Gains and times, which are not rates.
 fn gains(all: &[Scored]) -> String {
     let mut text = String::new();
-    let gains: Vec<f64> = all.iter().filter_map(|it| it.new_days).map(|[before, after]| 1.0 - after / before).collect();
+    let gains: Vec<f64> = all
+        .iter()
+        .filter_map(|it| it.new_days)
+        .map(|[before, after]| 1.0 - after / before)
+        .collect();
     if !gains.is_empty() {
         let mean = gains.iter().sum::<f64>() / gains.len() as f64;
         let least = gains.iter().copied().fold(f64::INFINITY, f64::min);
@@ -376,13 +459,18 @@ fn gains(all: &[Scored]) -> String {
         let most = gains.iter().filter(|gain| **gain >= 0.6).count();
         text += &line("M10 at least 60 % of it explained", most, n, "every case");
     }
-    let others: Vec<f64> = all.iter().filter(|it| is_single(it)).filter_map(|it| it.other_powders).collect();
+    let others: Vec<f64> =
+        all.iter().filter(|it| is_single(it)).filter_map(|it| it.other_powders).collect();
     if !others.is_empty() {
         let mean = others.iter().sum::<f64>() / others.len() as f64;
         let n = others.len();
-        text += &format!("M12 explained of powders left out whole: mean {:.0} %, n {n}  target 40 %\n", 100.0 * mean);
+        text += &format!(
+            "M12 explained of powders left out whole: mean {:.0} %, n {n}  target 40 %\n",
+            100.0 * mean
+        );
     }
-    let covered: Vec<f64> = all.iter().filter(|it| !it.is_null).filter_map(|it| it.coverage90).collect();
+    let covered: Vec<f64> =
+        all.iter().filter(|it| !it.is_null).filter_map(|it| it.coverage90).collect();
     if !covered.is_empty() {
         let mean = covered.iter().sum::<f64>() / covered.len() as f64;
         text += &format!(

@@ -19,13 +19,17 @@ mod trace_truth;
 #[allow(dead_code)]
 mod truth;
 
-use rates::{LARGE_DEG, MEDIUM_DEG, SIMULATIONS, scored, table, wanted, wanted_heaps, wanted_without_days};
+use rates::{
+    LARGE_DEG, MEDIUM_DEG, SIMULATIONS, scored, table, wanted, wanted_heaps, wanted_without_days,
+};
 use solver::Defect;
 use trace_truth::TraceFamily;
 use truth::Family;
 
 fn main() {
-    let count = |name: &str, usual: u64| std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual);
+    let count = |name: &str, usual: u64| {
+        std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
+    };
     let (nulls, effects, whole) = (count("NULLS", 70), count("EFFECTS", 10), count("WHOLE", 10));
     let only = std::env::var("ONLY").ok();
     let is_asked = |part: &str| only.as_deref().is_none_or(|only| only == part);
@@ -45,14 +49,21 @@ fn main() {
         print!("{}", table(&scored(&folder, &all, SIMULATIONS)));
     }
     if is_asked("solvers") {
-        print!("{}", solver::table(&solver::criticised(&folder, &solver::wanted(&Defect::ALL, seeds.clone()))));
+        print!(
+            "{}",
+            solver::table(&solver::criticised(
+                &folder,
+                &solver::wanted(&Defect::ALL, seeds.clone())
+            ))
+        );
     }
     if is_asked("campaigns") {
         let wanted = campaigns::wanted(whole, first);
         print!("{}", campaigns::table(&campaigns::campaigns(&folder, &wanted, SIMULATIONS)));
     }
     if is_asked("traces") {
-        let mut benches = trace_rates::wanted(&TraceFamily::NULLS, first..first + nulls.div_ceil(2));
+        let mut benches =
+            trace_rates::wanted(&TraceFamily::NULLS, first..first + nulls.div_ceil(2));
         benches.extend(trace_rates::wanted(&TraceFamily::SINGLES, seeds.clone()));
         benches.extend(trace_rates::wanted(&TraceFamily::OTHERS, seeds));
         println!("{}", trace_rates::table(&trace_rates::scored(&folder, &benches, SIMULATIONS)));

@@ -122,14 +122,16 @@ async fn criticise(planted: Defect, seed: u64) -> Criticised {
     let document = serde_json::to_value(&report).unwrap();
     let dependences = document["numerics"]["dependences"].as_array().expect("heaps were poured");
     let text = |of: &serde_json::Value| of["varied"].as_str().unwrap().to_owned();
-    let defects = dependences.iter().filter(|it| it["is_defect"].as_bool().unwrap()).map(text).collect();
+    let defects =
+        dependences.iter().filter(|it| it["is_defect"].as_bool().unwrap()).map(text).collect();
     let settling = dependences.iter().find(|it| it["varied"] == "settling_time");
     Criticised {
         planted,
         seed,
         depends_on: defects,
         creep_deg: settling.map_or(f64::NAN, |it| it["slope_deg"].as_f64().unwrap()),
-        creep_ci99: [0, 1].map(|end| settling.map_or(f64::NAN, |it| it["ci99"][end].as_f64().unwrap())),
+        creep_ci99: [0, 1]
+            .map(|end| settling.map_or(f64::NAN, |it| it["ci99"][end].as_f64().unwrap())),
         creep_is_told: page.contains("heaps creep")
             && document["causes"][0]["mechanism"] == "creep"
             && document["verdict"] == "cause",
@@ -163,7 +165,12 @@ pub fn table(all: &[Criticised]) -> String {
         }
     };
     let any = |it: &Criticised| !it.depends_on.is_empty();
-    rate("defect planted in the solver: named creep", Defect::Engine, &Criticised::is_creep_named, ">= 90 %");
+    rate(
+        "defect planted in the solver: named creep",
+        Defect::Engine,
+        &Criticised::is_creep_named,
+        ">= 90 %",
+    );
     rate("sound solver: said to creep", Defect::Nothing, &Criticised::is_creep_named, "<= 5 %");
     rate("sound solver: said to have any defect", Defect::Nothing, &any, "<= 5 %");
     rate("substep eight times too long: any defect found", Defect::LongSubstep, &any, ">= 90 %");

@@ -56,7 +56,9 @@ pub fn wanted(families: &[TraceFamily], seeds: std::ops::Range<u64>) -> Vec<(Tra
 pub fn scored(folder: &Path, wanted: &[(TraceFamily, u64)], simulations: u32) -> Vec<TraceScored> {
     let file = folder.join("scored_traces.jsonl");
     let known = std::fs::read_to_string(&file).unwrap_or_default();
-    let known = Mutex::new(known.lines().filter_map(|line| serde_json::from_str(line).ok()).collect::<Vec<_>>());
+    let known = Mutex::new(
+        known.lines().filter_map(|line| serde_json::from_str(line).ok()).collect::<Vec<_>>(),
+    );
     let of = |known: &[TraceScored], &(family, seed): &(TraceFamily, u64)| {
         known.iter().find(|it| it.family == family.name() && it.seed == seed).cloned()
     };
@@ -89,7 +91,10 @@ pub fn scored(folder: &Path, wanted: &[(TraceFamily, u64)], simulations: u32) ->
 /// The rows of the table for balance readings.
 pub fn table(all: &[TraceScored]) -> String {
     let mut text = String::new();
-    let mut rate = |name: &str, of: &[&TraceScored], is: &dyn Fn(&TraceScored) -> bool, target: &str| {
+    let mut rate = |name: &str,
+                    of: &[&TraceScored],
+                    is: &dyn Fn(&TraceScored) -> bool,
+                    target: &str| {
         let hits = of.iter().filter(|it| is(it)).count();
         if !of.is_empty() {
             let [low, high] = limits(hits, of.len()).map(|limit| 100.0 * limit);
@@ -106,7 +111,12 @@ pub fn table(all: &[TraceScored]) -> String {
     let (nulls, singles) = (of(&TraceFamily::NULLS), of(&TraceFamily::SINGLES));
     rate("M1 false alarms, balance readings", &nulls, &TraceScored::is_found, "<= 5 %");
     for family in TraceFamily::NULLS {
-        rate(&format!("   {}", family.name()), &of(&[family]), &TraceScored::is_found, "upper limit <= 12 %");
+        rate(
+            &format!("   {}", family.name()),
+            &of(&[family]),
+            &TraceScored::is_found,
+            "upper limit <= 12 %",
+        );
     }
     rate("M13 traces: found, one cause", &singles, &TraceScored::is_found, ">= 90 %");
     rate("M13 traces: named, one cause", &singles, &TraceScored::is_named, ">= 85 %");
@@ -115,9 +125,19 @@ pub fn table(all: &[TraceScored]) -> String {
     }
     rate("M13 traces: confident and wrong, one cause", &singles, &TraceScored::is_wrong, "<= 5 %");
     let wander = of(&[TraceFamily::Wander]);
-    rate("M13 traces: an uncatalogued wander left without a name", &wander, &TraceScored::is_named, "");
+    rate(
+        "M13 traces: an uncatalogued wander left without a name",
+        &wander,
+        &TraceScored::is_named,
+        "",
+    );
     rate("M13 traces: a wander, confident and wrong", &wander, &TraceScored::is_wrong, "<= 10 %");
     let fill = of(&[TraceFamily::HiddenFill]);
-    rate("M13 traces: fill that was not recorded, blamed on anything", &fill, &TraceScored::is_found, "<= 10 %");
+    rate(
+        "M13 traces: fill that was not recorded, blamed on anything",
+        &fill,
+        &TraceScored::is_found,
+        "<= 10 %",
+    );
     text
 }

@@ -100,8 +100,9 @@ const OPTIONAL: [&str; 7] = [
 
 impl Bench {
     fn drawn(family: TraceFamily, seed: u64) -> Self {
-        let mut rng =
-            Pcg64::seed_from_u64(seed.wrapping_mul(0x9e37_79b9).wrapping_add(family as u64) ^ 0x0074_7261_6365);
+        let mut rng = Pcg64::seed_from_u64(
+            seed.wrapping_mul(0x9e37_79b9).wrapping_add(family as u64) ^ 0x0074_7261_6365,
+        );
         let mut between = |low: f64, high: f64| rng.random_range(low..high);
         let powders = NAMES.map(|name| Powder {
             name,
@@ -110,7 +111,8 @@ impl Bench {
             pitch: between(0.02, 0.06),
             susceptibility: between(0.6, 1.4),
         });
-        let (size, noise_mg, shake_scatter) = (between(0.75, 1.5), between(0.04, 0.12), between(0.15, 0.3));
+        let (size, noise_mg, shake_scatter) =
+            (between(0.75, 1.5), between(0.04, 0.12), between(0.15, 0.3));
         let every_s = between(0.1, 0.25);
         let few = family == TraceFamily::NullFew;
         let kept = rng.random_range(2..=5);
@@ -154,7 +156,9 @@ impl Bench {
     }
 
     fn around(&mut self, day: usize, humidity: f64, drift: f64) -> Around {
-        let wave = |bench: &mut Self| [0.3 * bench.normal(), bench.between(2.5, 15.0), bench.between(0.0, TAU)];
+        let wave = |bench: &mut Self| {
+            [0.3 * bench.normal(), bench.between(2.5, 15.0), bench.between(0.0, TAU)]
+        };
         let waves = [wave(self), wave(self), wave(self)];
         let jumps = std::array::from_fn(|_| [self.between(0.0, 60.0), 0.5 * self.normal()]);
         Around {
@@ -220,9 +224,17 @@ impl Bench {
 
     fn wandered(&self, around: &Around, t: f64, walk: f64) -> f64 {
         let course = match self.form {
-            0 => around.waves.iter().map(|[a, period, phase]| a * (TAU * t / period + phase).sin()).sum(),
+            0 => around
+                .waves
+                .iter()
+                .map(|[a, period, phase]| a * (TAU * t / period + phase).sin())
+                .sum(),
             1 => 0.45 * walk,
-            _ => around.jumps.iter().map(|[at, by]| by / (1.0 + (-(t - at) / 0.8).exp())).sum::<f64>(),
+            _ => around
+                .jumps
+                .iter()
+                .map(|[at, by]| by / (1.0 + (-(t - at) / 0.8).exp()))
+                .sum::<f64>(),
         };
         self.size_of(TraceFamily::Wander) * course
     }
@@ -290,7 +302,11 @@ impl Bench {
                 let mut shown = self.drifted(around.drift, t);
                 for (j, step) in fallen.iter().enumerate() {
                     let x = (t - step.at_s).max(0.0);
-                    let lag = if self.family == TraceFamily::BalanceLag && (j > 0) { self.behind(x) } else { 0.0 };
+                    let lag = if self.family == TraceFamily::BalanceLag && (j > 0) {
+                        self.behind(x)
+                    } else {
+                        0.0
+                    };
                     shown += step.mg * (1.0 - lag);
                     if is_dose {
                         shown += step.mg * step.susceptibility * self.gained(x, around.humidity);
@@ -320,20 +336,22 @@ impl Bench {
         rows: &[(f64, f64)],
         shake: Option<[f64; 4]>,
     ) {
-        let cell =
-            |missing: &[&str], name: &str, text: String| if missing.contains(&name) { String::new() } else { text };
+        let cell = |missing: &[&str], name: &str, text: String| {
+            if missing.contains(&name) { String::new() } else { text }
+        };
         for (k, &(t, mg)) in rows.iter().enumerate() {
             let missing = self.missing.clone();
             let of = |name: &str, text: String| cell(&missing, name, text);
-            let [index, mm, pitch, fill] = shake.map_or([const { String::new() }; 4], |[index, mm, pitch, fill]| {
-                let mm = if mm > 0.0 { format!("{mm:.2}") } else { String::new() };
-                [
-                    format!("{index:.0}"),
-                    of("shake_mm", mm),
-                    of("spoon_pitch_deg", format!("{pitch:.1}")),
-                    of("spoon_fill_mg", format!("{fill:.1}")),
-                ]
-            });
+            let [index, mm, pitch, fill] =
+                shake.map_or([const { String::new() }; 4], |[index, mm, pitch, fill]| {
+                    let mm = if mm > 0.0 { format!("{mm:.2}") } else { String::new() };
+                    [
+                        format!("{index:.0}"),
+                        of("shake_mm", mm),
+                        of("spoon_pitch_deg", format!("{pitch:.1}")),
+                        of("spoon_fill_mg", format!("{fill:.1}")),
+                    ]
+                });
             let still = u8::from(k + 2 >= rows.len());
             let decimals = 2;
             writeln!(
@@ -375,7 +393,10 @@ impl Bench {
                 pitch += self.between(-1.0, 1.8);
                 let factor = self.let_fall(n, mm, fill, energy, &self.powders[which]);
                 let scatter = self.shake_scatter * self.normal();
-                let mut mg = own * (mm / 8.0).powf(exponent) * (per_deg * (pitch - 10.0) + scatter).exp() * factor;
+                let mut mg = own
+                    * (mm / 8.0).powf(exponent)
+                    * (per_deg * (pitch - 10.0) + scatter).exp()
+                    * factor;
                 let room = self.size_of(TraceFamily::SpoonHoldup) * 3.5 * susceptibility;
                 let kept = match self.form {
                     // Half of each shake until there is no more room; the part missing from a film
@@ -428,7 +449,8 @@ impl Bench {
         for day in 0..self.days {
             let (humidity, day_log) = (self.between(22.0, 72.0), 0.08 * self.normal());
             let drift = 0.016 + 0.009 * self.normal();
-            let (from, to) = (day * self.weighings / self.days, (day + 1) * self.weighings / self.days);
+            let (from, to) =
+                (day * self.weighings / self.days, (day + 1) * self.weighings / self.days);
             for id in from..to {
                 let around = self.around(day, humidity, drift);
                 self.dose(id, &around, day_log);

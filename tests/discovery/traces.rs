@@ -13,7 +13,9 @@ use crate::truth::{self, Family};
 /// 90 % eight or fewer are found with a chance of 0.03 and seven or fewer with 0.004; at 85 % six
 /// or fewer are named with a chance of 0.005; at 5 % three or more have a wrong name with 0.02.
 fn verdict(nulls: &[TraceScored], effects: &[TraceScored]) -> Result<(), String> {
-    let count = |of: &[TraceScored], is: &dyn Fn(&TraceScored) -> bool| of.iter().filter(|it| is(it)).count();
+    let count = |of: &[TraceScored], is: &dyn Fn(&TraceScored) -> bool| {
+        of.iter().filter(|it| is(it)).count()
+    };
     let alarms = count(nulls, &TraceScored::is_found);
     let found = count(effects, &TraceScored::is_found);
     let named = count(effects, &TraceScored::is_named);
@@ -30,7 +32,9 @@ fn verdict(nulls: &[TraceScored], effects: &[TraceScored]) -> Result<(), String>
 #[test]
 fn causes_hidden_in_balance_readings_are_found_and_named_and_saboteurs_fail() {
     let folder = tempfile::tempdir().unwrap();
-    let of = |families: &[TraceFamily], seeds| scored(folder.path(), &wanted(families, seeds), SIMULATIONS);
+    let of = |families: &[TraceFamily], seeds| {
+        scored(folder.path(), &wanted(families, seeds), SIMULATIONS)
+    };
     let nulls = of(&TraceFamily::NULLS, 0..2);
     let mut effects = of(&TraceFamily::SINGLES, 0..1);
     effects.extend(of(&TraceFamily::OTHERS, 0..1));
@@ -40,7 +44,11 @@ fn causes_hidden_in_balance_readings_are_found_and_named_and_saboteurs_fail() {
     let says = |of: &[TraceScored], verdict: &str, claimed: &[&str]| -> Vec<TraceScored> {
         let claimed: Vec<String> = claimed.iter().map(|it| (*it).to_owned()).collect();
         of.iter()
-            .map(|it| TraceScored { verdict: verdict.to_owned(), claimed: claimed.clone(), ..it.clone() })
+            .map(|it| TraceScored {
+                verdict: verdict.to_owned(),
+                claimed: claimed.clone(),
+                ..it.clone()
+            })
             .collect()
     };
     let (none, drift) = ("no_discrepancy", ["balance_drift"]);
@@ -69,5 +77,8 @@ fn a_balance_that_drifts_is_told_beside_angles_that_are_right() {
     assert!((answer.p_value - 0.02).abs() < 1e-12, "{}", answer.p_value);
     let (effect, [low, high]) = answer.effect.unwrap();
     assert!(low < effect && effect < high && low > 0.0, "{effect} [{low}, {high}]");
-    assert!(answer.experiment.iter().any(|run| run.get("kind").is_some_and(|kind| kind == "zero")), "{answer:?}");
+    assert!(
+        answer.experiment.iter().any(|run| run.get("kind").is_some_and(|kind| kind == "zero")),
+        "{answer:?}"
+    );
 }

@@ -114,7 +114,8 @@ impl Family {
         Self::BaseFriction,
     ];
     /// The others.
-    pub const OTHERS: [Self; 5] = [Self::TwoCauses, Self::Confounded, Self::Recorded, Self::Unrecorded, Self::Wild];
+    pub const OTHERS: [Self; 5] =
+        [Self::TwoCauses, Self::Confounded, Self::Recorded, Self::Unrecorded, Self::Wild];
 
     /// Name of the family; for a single cause, the cause's name in the catalogue.
     pub fn name(self) -> &'static str {
@@ -194,7 +195,11 @@ pub struct Case {
 pub fn case(family: Family, size_deg: f64, seed: u64) -> Case {
     let laboratory = families::draw(family, size_deg, seed);
     let runs = laboratory.campaign();
-    Case::of(format!("{} {:.2} deg, seed {seed}", family.name(), laboratory.truth.size_deg), laboratory, runs)
+    Case::of(
+        format!("{} {:.2} deg, seed {seed}", family.name(), laboratory.truth.size_deg),
+        laboratory,
+        runs,
+    )
 }
 
 /// A campaign of any kind: 3 to 8 powders, 12 to 40 days, 1 to 3 repeats, noise normal or not, an
@@ -218,9 +223,18 @@ impl Case {
             rivals: truth.rivals,
             covariate: truth.covariate.map(str::to_owned),
             form_class: truth.form_class,
-            formula: laboratory.terms.iter().map(ToString::to_string).collect::<Vec<_>>().join(" + "),
+            formula: laboratory
+                .terms
+                .iter()
+                .map(ToString::to_string)
+                .collect::<Vec<_>>()
+                .join(" + "),
             size_deg: truth.size_deg,
-            noise_free_deg: runs.iter().zip(&effect_deg).map(|(run, effect)| powder_deg(run) + effect).collect(),
+            noise_free_deg: runs
+                .iter()
+                .zip(&effect_deg)
+                .map(|(run, effect)| powder_deg(run) + effect)
+                .collect(),
             effect_deg,
             effect_5_95_deg: 0.0,
             laboratory,
@@ -262,7 +276,8 @@ impl Case {
     /// [`Case::change_deg`] of these columns, all at once from one end of their [`Case::span`] to
     /// the other; none where one has no span.
     pub fn change_over_spans_deg(&self, columns: &[&str]) -> Option<f64> {
-        let moves: Option<Vec<_>> = columns.iter().map(|&column| Some((column, self.span(column)?))).collect();
+        let moves: Option<Vec<_>> =
+            columns.iter().map(|&column| Some((column, self.span(column)?))).collect();
         moves.map(|moves| self.change_of_all_deg(&moves))
     }
 
@@ -270,7 +285,10 @@ impl Case {
         let at = |run: &Run, end: usize| {
             let mut moved = run.clone();
             for (column, ends) in moves {
-                let value = moved.values.get_mut(*column).unwrap_or_else(|| panic!("nothing is called {column}"));
+                let value = moved
+                    .values
+                    .get_mut(*column)
+                    .unwrap_or_else(|| panic!("nothing is called {column}"));
                 *value = Value::parse(column, &ends[end]);
             }
             self.laboratory.effect_deg(&moved)

@@ -12,7 +12,11 @@ const PARTICLES: u32 = 2000;
 const READINGS: u32 = 4;
 const HELD_OUT: u64 = 60;
 
-fn heap(set: &ParameterSet, Pour { particles, readings }: Pour, seed: u64) -> Result<Heap, Refusal> {
+fn heap(
+    set: &ParameterSet,
+    Pour { particles, readings }: Pour,
+    seed: u64,
+) -> Result<Heap, Refusal> {
     let settings = Settings { readings, ..Settings::with_particles(particles) };
     let pile = repose(set, &settings, seed)?;
     Ok(Heap {
@@ -33,7 +37,8 @@ fn held_out(k: u64) -> ParameterSet {
 fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
     // Less than half of the product's heaps: its uncertainties have to be right at any size.
     let design = Design { runs: 100, initial: 64, round: 18, ..Design::with_particles(PARTICLES) };
-    let emulator = build(&design, sim::directions, &[], heap, |_, _| ControlFlow::Continue(())).unwrap();
+    let emulator =
+        build(&design, sim::directions, &[], heap, |_, _| ControlFlow::Continue(())).unwrap();
     let scores: Vec<f64> = (0..HELD_OUT)
         .into_par_iter()
         .filter_map(|k| {
@@ -43,7 +48,10 @@ fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
             if !(22.0..52.0).contains(&expected.mean.mean) {
                 return None;
             }
-            let tip_deg = heap(&set, Pour { particles: PARTICLES, readings: READINGS }, derive(98, &[k])).ok()?.tip_deg;
+            let tip_deg =
+                heap(&set, Pour { particles: PARTICLES, readings: READINGS }, derive(98, &[k]))
+                    .ok()?
+                    .tip_deg;
             // The mean of four readings of a heap, which have 0.09 of their variance in common.
             let noise = expected.seed_sd_deg * (1.0 / f64::from(READINGS) + 0.09).sqrt();
             Some((tip_deg - expected.mean.mean) / expected.mean.sd.hypot(noise))
@@ -52,7 +60,10 @@ fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
     let n = scores.len() as f64;
     let rms = (scores.iter().map(|z| z * z).sum::<f64>() / n).sqrt();
     let within = scores.iter().filter(|z| z.abs() <= 1.0).count() as f64 / n;
-    println!("{n} held-out heaps: root mean square of the scores {rms:.2}, {:.0} % within one", 100.0 * within);
+    println!(
+        "{n} held-out heaps: root mean square of the scores {rms:.2}, {:.0} % within one",
+        100.0 * within
+    );
     // With thirty heaps the standard errors are 0.13 and 9 %; three of each.
     assert!(n >= 25.0 && (0.6..=1.4).contains(&rms), "{n} {rms}");
     assert!((0.41..=0.95).contains(&within), "{within}");

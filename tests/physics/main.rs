@@ -9,8 +9,13 @@ use rayon::prelude::*;
 
 /// Mean and standard error of the tip angle over seeds.
 fn angle(friction: f64, cohesion: f64, seeds: u64) -> (f64, f64) {
-    let set = ParameterSet::default().with("friction", friction).unwrap().with("cohesion", cohesion).unwrap();
-    let tips: Vec<f64> = (1..=seeds).map(|seed| repose(&set, &Settings::default(), seed).unwrap().tip_deg).collect();
+    let set = ParameterSet::default()
+        .with("friction", friction)
+        .unwrap()
+        .with("cohesion", cohesion)
+        .unwrap();
+    let tips: Vec<f64> =
+        (1..=seeds).map(|seed| repose(&set, &Settings::default(), seed).unwrap().tip_deg).collect();
     let n = tips.len() as f64;
     let mean = tips.iter().sum::<f64>() / n;
     let variance = tips.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / (n - 1.0);
@@ -20,15 +25,20 @@ fn angle(friction: f64, cohesion: f64, seeds: u64) -> (f64, f64) {
 #[test]
 fn the_angle_of_repose_rises_with_friction_and_with_cohesion() {
     let cells: Vec<(usize, usize)> = (0..5).flat_map(|f| (0..5).map(move |c| (f, c))).collect();
-    let grid: Vec<(f64, f64)> =
-        cells.par_iter().map(|&(f, c)| angle(1.3 * f as f64 / 4.0, 1.2 * c as f64 / 4.0, 8)).collect();
+    let grid: Vec<(f64, f64)> = cells
+        .par_iter()
+        .map(|&(f, c)| angle(1.3 * f as f64 / 4.0, 1.2 * c as f64 / 4.0, 8))
+        .collect();
     let at = |f: usize, c: usize| grid[f * 5 + c];
     for (f, c) in cells {
         for (nf, nc) in [(f + 1, c), (f, c + 1)] {
             if nf < 5 && nc < 5 {
                 let ((from, se_from), (to, se_to)) = (at(f, c), at(nf, nc));
                 let fall = from - to;
-                assert!(fall <= 2.0 * se_from.hypot(se_to), "({f},{c}) {from:.2} -> ({nf},{nc}) {to:.2}");
+                assert!(
+                    fall <= 2.0 * se_from.hypot(se_to),
+                    "({f},{c}) {from:.2} -> ({nf},{nc}) {to:.2}"
+                );
             }
         }
     }

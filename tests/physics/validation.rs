@@ -8,7 +8,8 @@ fn expect(names: &[&str]) {
     let chosen: Vec<_> = experiments().into_iter().filter(|e| names.contains(&e.name)).collect();
     assert_eq!(chosen.len(), names.len(), "an experiment of {names:?} is missing");
     let suite = Suite::default();
-    let checks: Vec<Check> = chosen.par_iter().with_max_len(1).flat_map_iter(|e| e.run(&suite)).collect();
+    let checks: Vec<Check> =
+        chosen.par_iter().with_max_len(1).flat_map_iter(|e| e.run(&suite)).collect();
     for check in &checks {
         assert!(check.is_accounted_for(), "{check:?}, off by {}", check.miss());
         if let Some(known) = check.known_deviation {
@@ -70,6 +71,10 @@ fn a_heap_rests_and_a_tilted_bed_flows_when_it_should() {
 fn every_experiment_is_in_one_of_these_groups() {
     let source = include_str!("validation.rs");
     for experiment in experiments() {
-        assert!(source.contains(&format!("\"{}\"", experiment.name)), "{} is not tested", experiment.name);
+        assert!(
+            source.contains(&format!("\"{}\"", experiment.name)),
+            "{} is not tested",
+            experiment.name
+        );
     }
 }

@@ -42,7 +42,12 @@ impl Dose {
     }
 
     fn order(&self) -> Order {
-        Order { target_mg: self.target_mg, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 }
+        Order {
+            target_mg: self.target_mg,
+            tolerance_lower_mg: 1.0,
+            tolerance_upper_mg: 1.0,
+            readability_mg: 1.0,
+        }
     }
 }
 
@@ -65,11 +70,16 @@ pub fn run(dose: Dose, case: Option<Case>) -> Ran {
     let bell = Bell::default();
     let spoon = Probe { spoon: FormulaSpoon::new(Flow::default(), dose.seed), bell: bell.clone() };
     let settings = lab::Settings {
-        balance: balance::Settings { seed: dose.seed, slow_reply_ms: SLOW_REPLY_MS, ..Default::default() },
+        balance: balance::Settings {
+            seed: dose.seed,
+            slow_reply_ms: SLOW_REPLY_MS,
+            ..Default::default()
+        },
         arm: arm::Settings { dead_man_ms: DEAD_MAN_MS, ..Default::default() },
         ..Default::default()
     };
-    let laboratory = Laboratory::start(settings, clock.clone(), Box::new(spoon)).expect("a laboratory");
+    let laboratory =
+        Laboratory::start(settings, clock.clone(), Box::new(spoon)).expect("a laboratory");
     let mut file = laboratory.file();
     file.balance.timeout_s = ANSWER_S;
     let watcher = Arc::new(Watcher::new(dose, case, laboratory));
@@ -94,7 +104,15 @@ fn dosed(station: &mut Station, dose: Dose, watcher: &Watcher) -> Weighed {
         watcher.heard(event);
         ControlFlow::Continue(())
     };
-    weigh(station, &controller, &RULES, &dose.order(), &Settings::BENCH, hear, &AtomicBool::new(false))
+    weigh(
+        station,
+        &controller,
+        &RULES,
+        &dose.order(),
+        &Settings::BENCH,
+        hear,
+        &AtomicBool::new(false),
+    )
 }
 
 /// Rings when a shake has begun.
@@ -201,20 +219,31 @@ impl Watcher {
 
     fn passed(&self, exchange: Exchange) {
         let mut state = self.locked();
-        let sent = (exchange.direction == Direction::Sent).then(|| (exchange.device.clone(), exchange.text.clone()));
+        let sent = (exchange.direction == Direction::Sent)
+            .then(|| (exchange.device.clone(), exchange.text.clone()));
         state.record.entries.push(Entry::Passed(exchange));
         if let Some((device, text)) = sent {
             state.count(&device, &text);
             self.pass(&mut state, &device);
             let (phase, course) = (state.record.phase(), state.course(&self.dose));
             let State { shakes, questions, since_shake, .. } = *state;
-            let moment = Moment { device: &device, text: &text, phase, course, shakes, questions, since_shake };
+            let moment = Moment {
+                device: &device,
+                text: &text,
+                phase,
+                course,
+                shakes,
+                questions,
+                since_shake,
+            };
             self.inject_if(&mut state, |when| moment.is(when));
         }
     }
 
     fn inject_if(&self, state: &mut State, is_now: impl Fn(When) -> bool) {
-        let Some(case) = self.case.filter(|case| !state.injected && is_now(case.when)) else { return };
+        let Some(case) = self.case.filter(|case| !state.injected && is_now(case.when)) else {
+            return;
+        };
         let vial_mg = state.vial_mg();
         state.record.entries.push(Entry::Injected { vial_mg });
         state.injected = true;
@@ -222,7 +251,9 @@ impl Watcher {
         let answers = if case.lasting { u32::MAX } else { case.fault.answers() };
         match case.fault {
             // Faults that do not affect answers end with a message, below.
-            Fault::Balance(balance::Fault::VialLifted) => state.laboratory.balance.inject(balance::Fault::VialLifted),
+            Fault::Balance(balance::Fault::VialLifted) => {
+                state.laboratory.balance.inject(balance::Fault::VialLifted)
+            }
             Fault::Balance(fault) => state.laboratory.balance.inject_for(fault, answers),
             Fault::Arm(fault) => state.laboratory.arm.inject(fault),
             Fault::Gripper(fault) => state.laboratory.fingers.cause(fault, answers),
@@ -259,7 +290,14 @@ impl Watcher {
         let arm = &state.laboratory.arm;
         let (is_level, is_retracted, latched) = (arm.is_level(), arm.is_retracted(), arm.latched());
         let vial_mg = state.vial_mg();
-        Ran { weighed, record: std::mem::take(&mut state.record), vial_mg, is_level, is_retracted, latched }
+        Ran {
+            weighed,
+            record: std::mem::take(&mut state.record),
+            vial_mg,
+            is_level,
+            is_retracted,
+            latched,
+        }
     }
 }
 
@@ -275,8 +313,12 @@ impl State {
 
     fn count(&mut self, device: &str, text: &str) {
         match device {
-            "the balance" => (self.questions, self.since_shake) = (self.questions + 1, self.since_shake + 1),
-            _ if text.contains("Shake by") => (self.shakes, self.since_shake) = (self.shakes + 1, 0),
+            "the balance" => {
+                (self.questions, self.since_shake) = (self.questions + 1, self.since_shake + 1)
+            }
+            _ if text.contains("Shake by") => {
+                (self.shakes, self.since_shake) = (self.shakes + 1, 0)
+            }
             _ => {}
         }
     }
@@ -296,9 +338,12 @@ struct Moment<'a> {
 impl Moment<'_> {
     fn is(&self, when: When) -> bool {
         let asks = |phase| self.device == "the balance" && self.phase == Some(phase);
-        let moves =
-            |phase, motion: &str| self.device == "the arm" && self.phase == Some(phase) && self.text.contains(motion);
-        let is_at = |course, first| if course == Course::Late { self.course == course } else { self.shakes <= first };
+        let moves = |phase, motion: &str| {
+            self.device == "the arm" && self.phase == Some(phase) && self.text.contains(motion)
+        };
+        let is_at = |course, first| {
+            if course == Course::Late { self.course == course } else { self.shakes <= first }
+        };
         match when {
             When::Opening | When::Pouring(_) => false,
             When::StandBefore => asks(Phase::Armed) && self.questions == 2,
@@ -308,7 +353,9 @@ impl Moment<'_> {
             When::FirstRead => asks(Phase::Dosing) && self.questions == 1,
             When::Incline(course) => moves(Phase::Dosing, "Pitch to") && is_at(course, 0),
             When::Shake(course) => moves(Phase::Dosing, "Shake by") && is_at(course, 1),
-            When::Read(course) => asks(Phase::Dosing) && self.shakes > 0 && self.since_shake == 1 && is_at(course, 1),
+            When::Read(course) => {
+                asks(Phase::Dosing) && self.shakes > 0 && self.since_shake == 1 && is_at(course, 1)
+            }
             When::Level => moves(Phase::Settling, "Pitch to 0 deg"),
             When::Retract => moves(Phase::Settling, "Retract"),
             When::FinalStand => asks(Phase::Settling) && self.questions == 3,

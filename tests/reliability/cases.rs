@@ -117,7 +117,9 @@ impl Fault {
     pub fn name(self) -> String {
         match self {
             Self::Balance(fault) => fault.name().to_owned(),
-            Self::Arm(arm::Fault::SlowReply(late)) => format!("slow_reply of {} ms", late.as_millis()),
+            Self::Arm(arm::Fault::SlowReply(late)) => {
+                format!("slow_reply of {} ms", late.as_millis())
+            }
             Self::Arm(arm::Fault::ShakeTooLarge(factor)) => format!("shake_too_large by {factor}"),
             Self::Arm(fault) => fault.name().to_owned(),
             Self::Gripper(fault) => fault.name().to_owned(),
@@ -138,7 +140,9 @@ impl Fault {
     pub fn answers(self) -> u32 {
         use balance::Fault as B;
         match self {
-            Self::Balance(B::Drift | B::Draught | B::Stuck | B::NotReady | B::Adjusting | B::VialLifted) => FEW,
+            Self::Balance(
+                B::Drift | B::Draught | B::Stuck | B::NotReady | B::Adjusting | B::VialLifted,
+            ) => FEW,
             _ => 1,
         }
     }

@@ -23,7 +23,11 @@ impl Row {
     pub fn new(dose: Dose, case: Case, ran: &Ran, twin_mg: f64, wall: Duration) -> Self {
         let (outcome, cause, must_look) = match &ran.weighed {
             Err(cause) => ("not begun".to_owned(), cause.clone(), false),
-            Ok(it) => (format!("{:?}", it.outcome).to_lowercase(), it.cause.clone().unwrap_or_default(), it.must_look),
+            Ok(it) => (
+                format!("{:?}", it.outcome).to_lowercase(),
+                it.cause.clone().unwrap_or_default(),
+                it.must_look,
+            ),
         };
         Self {
             case,
@@ -39,7 +43,8 @@ impl Row {
 
     /// Its problems, in words.
     pub fn complaints(&self) -> Vec<String> {
-        let name = |what: &String| format!("{}: {what} [{} {}]", self.case, self.outcome, self.cause);
+        let name =
+            |what: &String| format!("{}: {what} [{} {}]", self.case, self.outcome, self.cause);
         self.wrong.iter().map(name).collect()
     }
 }
@@ -75,7 +80,8 @@ pub fn table(rows: &[Row]) -> String {
     }
     line(&mut text, "all", "all", &rows.iter().collect::<Vec<_>>());
     let longest = rows.iter().max_by_key(|row| row.wall);
-    let longest = longest.map(|row| format!("longest: {} in {:.1} s", row.case, row.wall.as_secs_f64()));
+    let longest =
+        longest.map(|row| format!("longest: {} in {:.1} s", row.case, row.wall.as_secs_f64()));
     let _ = write!(text, "\n{}", longest.unwrap_or_default());
     text
 }
@@ -85,11 +91,16 @@ fn line(text: &mut String, device: &str, fault: &str, rows: &[&Row]) {
     for row in rows {
         *outcomes.entry(&row.outcome).or_default() += 1;
     }
-    let outcomes: Vec<String> = outcomes.iter().map(|(outcome, n)| format!("{outcome} {n}")).collect();
+    let outcomes: Vec<String> =
+        outcomes.iter().map(|(outcome, n)| format!("{outcome} {n}")).collect();
     let over = [Excess::Twin, Excess::InFlight, Excess::Chance, Excess::Fault]
         .map(|why| rows.iter().filter(|row| row.excess == why).count().to_string());
     let worst_mg = rows.iter().map(|row| row.over_mg).fold(0.0, f64::max);
     let look = rows.iter().filter(|row| row.must_look).count();
     let (outcomes, over) = (outcomes.join(", "), over.join(", "));
-    let _ = writeln!(text, "| {device} | {fault} | {} | {outcomes} | {look} | {over} | {worst_mg:.2} |", rows.len());
+    let _ = writeln!(
+        text,
+        "| {device} | {fault} | {} | {outcomes} | {look} | {over} | {worst_mg:.2} |",
+        rows.len()
+    );
 }

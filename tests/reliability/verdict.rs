@@ -41,12 +41,15 @@ pub fn excess(dose: Dose, case: &Case, ran: &Ran, twin_mg: f64) -> Excess {
         return Excess::Twin;
     }
     let decided = ran.record.entries.iter().enumerate().rev().find_map(|(at, entry)| match entry {
-        Entry::Decision { allowed: Some(_), reading_mg, vial_mg } if *vial_mg <= limit_mg + SAME_MG => {
+        Entry::Decision { allowed: Some(_), reading_mg, vial_mg }
+            if *vial_mg <= limit_mg + SAME_MG =>
+        {
             Some((at, (reading_mg - vial_mg).abs() <= TRUE_MG))
         }
         _ => None,
     });
-    let is_wilder = matches!(case.fault, Fault::Arm(flip_bench::emulate::arm::Fault::ShakeTooLarge(_)));
+    let is_wilder =
+        matches!(case.fault, Fault::Arm(flip_bench::emulate::arm::Fault::ShakeTooLarge(_)));
     match (decided, ran.record.injected_at()) {
         _ if is_wilder => Excess::Fault,
         (Some((at, _)), Some(begun)) if at < begun => Excess::InFlight,
@@ -76,7 +79,9 @@ pub fn faults(dose: Dose, case: &Case, ran: &Ran, twin_mg: f64) -> Vec<String> {
     let must_look = ran.weighed.as_ref().map_or(true, |weighed| weighed.must_look);
     if !(is_safe || (ran.latched.is_some() && must_look)) {
         let Ran { is_level, is_retracted, latched, .. } = ran;
-        wrong.push(format!("level {is_level}, retracted {is_retracted}, latched {latched:?}, must look {must_look}"));
+        wrong.push(format!(
+            "level {is_level}, retracted {is_retracted}, latched {latched:?}, must look {must_look}"
+        ));
     }
     wrong.extend(unnamed(ran));
     wrong.extend(untold(ran));
@@ -95,14 +100,17 @@ fn unnamed(ran: &Ran) -> Option<String> {
     match cause {
         None if needs_none => None,
         None => Some(format!("{outcome:?} without a cause")),
-        Some(text) if text.contains("the log has the details") => Some(format!("something panicked: {text}")),
+        Some(text) if text.contains("the log has the details") => {
+            Some(format!("something panicked: {text}"))
+        }
         Some(text) if needs_none || NAMED.iter().any(|name| text.contains(name)) => None,
         Some(text) => Some(format!("names nothing: {text}")),
     }
 }
 
 /// Names of things a person can check.
-const NAMED: [&str; 6] = ["the balance", "the arm", "the gripper", "the reading", "the vial", "spoon"];
+const NAMED: [&str; 6] =
+    ["the balance", "the arm", "the gripper", "the reading", "the vial", "spoon"];
 
 /// Received pieces of answers that are not on record.
 fn unheard(case: &Case, ran: &Ran) -> Option<String> {
@@ -111,12 +119,15 @@ fn unheard(case: &Case, ran: &Ran) -> Option<String> {
     let (mut asked, mut heard) = (0, 0);
     for entry in &ran.record.entries[begun..] {
         match entry {
-            Entry::Passed(it) if it.device == "the balance" && it.direction == Direction::Sent => asked += 1,
+            Entry::Passed(it) if it.device == "the balance" && it.direction == Direction::Sent => {
+                asked += 1
+            }
             Entry::Passed(it) if it.device == "the balance" => heard += 1,
             _ => {}
         }
     }
-    (is_piece && asked > 0 && heard == 0).then(|| "a piece of an answer is not on record".to_owned())
+    (is_piece && asked > 0 && heard == 0)
+        .then(|| "a piece of an answer is not on record".to_owned())
 }
 
 /// An invalid reading that was accepted: of an aborted dose, or of a balance that was switched on
@@ -130,7 +141,12 @@ fn believed(case: &Case, ran: &Ran) -> Option<String> {
     }
     let is_harmless = matches!(
         case.when,
-        When::Opening | When::StandBefore | When::Scoop | When::Approach | When::Discard | When::Release
+        When::Opening
+            | When::StandBefore
+            | When::Scoop
+            | When::Approach
+            | When::Discard
+            | When::Release
     );
     let is_told = *outcome == Outcome::Aborted && *must_look;
     (case.fault == Fault::Balance(Restart) && !is_harmless && !is_told)
@@ -141,5 +157,6 @@ fn believed(case: &Case, ran: &Ran) -> Option<String> {
 fn untold(ran: &Ran) -> Option<String> {
     let weighed = ran.weighed.as_ref().ok()?;
     let ticks: Vec<u32> = weighed.ticks.iter().map(|tick| tick.step).collect();
-    (ticks != ran.record.ticks()).then(|| format!("ticks {ticks:?}, and {:?} were told", ran.record.ticks()))
+    (ticks != ran.record.ticks())
+        .then(|| format!("ticks {ticks:?}, and {:?} were told", ran.record.ticks()))
 }

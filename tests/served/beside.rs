@@ -9,7 +9,8 @@ use std::process::{Command, Output};
 
 async fn add_powder(service: &Service, token: &str, id: &str) -> u16 {
     let new = json!({ "id": id, "name": id });
-    let request = service.client.post(format!("{}/v1/powders", service.url)).bearer_auth(token).json(&new);
+    let request =
+        service.client.post(format!("{}/v1/powders", service.url)).bearer_auth(token).json(&new);
     request.send().await.unwrap().status().as_u16()
 }
 
@@ -30,7 +31,9 @@ fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
     for entry in fs::read_dir(folder).unwrap().map(Result::unwrap) {
         match entry.path().is_dir() {
             true => found.extend(contents(&entry.path())),
-            false => found.push((entry.path().display().to_string(), fs::read(entry.path()).unwrap())),
+            false => {
+                found.push((entry.path().display().to_string(), fs::read(entry.path()).unwrap()))
+            }
         }
     }
     found.sort();
@@ -58,7 +61,8 @@ async fn threads_that_read_stops_and_drive_the_bench_go_before_those_that_answer
     service.get("/v1/powders").await;
     let threads = threads(service.id());
     let of = |name: &str| {
-        let found: Vec<i32> = threads.iter().filter(|(it, _)| it.starts_with(name)).map(|(_, nice)| *nice).collect();
+        let found: Vec<i32> =
+            threads.iter().filter(|(it, _)| it.starts_with(name)).map(|(_, nice)| *nice).collect();
         assert!(!found.is_empty(), "no thread {name}: {threads:?}");
         found
     };
@@ -76,13 +80,27 @@ async fn tokens_are_made_listed_and_revoked_while_the_service_runs() {
     assert!(service.token.is_some());
     let made = document(&flip(
         folder.path(),
-        &["token", "create", "--role", "operator", "--name", "robot", "--may-clear", "--expires-in", "1h", "--json"],
+        &[
+            "token",
+            "create",
+            "--role",
+            "operator",
+            "--name",
+            "robot",
+            "--may-clear",
+            "--expires-in",
+            "1h",
+            "--json",
+        ],
     ));
     let secret = made["token"].as_str().unwrap();
     assert_eq!(add_powder(&service, secret, "flour").await, 201);
     let list = document(&flip(folder.path(), &["token", "list", "--json"]));
     let text = list.to_string();
-    assert!(text.contains("robot") && text.contains("first start") && !text.contains(secret), "{text}");
+    assert!(
+        text.contains("robot") && text.contains("first start") && !text.contains(secret),
+        "{text}"
+    );
     assert_eq!(list["items"][1]["role"], "admin", "who starts the service first makes the others");
     let id = made["id"].as_str().unwrap();
     document(&flip(folder.path(), &["token", "revoke", id, "--json"]));
@@ -98,17 +116,22 @@ async fn tokens_are_made_listed_and_revoked_while_the_service_runs() {
 async fn the_record_is_archived_beside_a_service_and_a_day_that_is_none_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let _service = Service::start(folder.path());
-    let done = document(&flip(folder.path(), &["audit", "archive", "--before", "2026-11-26", "--json"]));
+    let done =
+        document(&flip(folder.path(), &["audit", "archive", "--before", "2026-11-26", "--json"]));
     assert_eq!((&done["records"], &done["files"]), (&json!(0), &json!([])), "no dose is there");
     let refused = flip(folder.path(), &["audit", "archive", "--before", "26.11.2026"]);
     assert_eq!(refused.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&refused.stderr).contains("before: must be a day"), "{refused:?}");
+    assert!(
+        String::from_utf8_lossy(&refused.stderr).contains("before: must be a day"),
+        "{refused:?}"
+    );
 }
 
 #[tokio::test]
 async fn a_backup_while_serving_holds_what_was_committed_and_is_restored_after_a_kill() {
     let folder = tempfile::tempdir().unwrap();
-    let (data, kept, back) = (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
+    let (data, kept, back) =
+        (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
     let service = Service::start(&data);
     let token = service.token.clone().unwrap();
     for k in 0..20 {
@@ -127,17 +150,27 @@ async fn a_backup_while_serving_holds_what_was_committed_and_is_restored_after_a
     assert_eq!(contents(&kept), before, "the backup stays as it is");
     assert_eq!(flip(&back, &["restore", kept_name]).status.code(), Some(2), "nor here");
     let hash = made["last_hash"].as_str().unwrap();
-    assert_eq!(document(&flip(&back, &["audit", "verify", "--hash", hash, "--json"]))["holds_hash"], true);
+    assert_eq!(
+        document(&flip(&back, &["audit", "verify", "--hash", hash, "--json"]))["holds_hash"],
+        true
+    );
     let service = Service::start(&back);
     assert_eq!(service.token, None, "it has tokens");
     assert_eq!(restored["revoked_tokens"], 1, "{restored}");
     assert_eq!(add_powder(&service, &token, "flour").await, 401, "none of before opens");
-    let made = document(&flip(&back, &["token", "create", "--role", "operator", "--name", "new", "--json"]));
+    let made = document(&flip(
+        &back,
+        &["token", "create", "--role", "operator", "--name", "new", "--json"],
+    ));
     let token = made["token"].as_str().unwrap();
     let why = service.get("/v1/bench").await["held"]["reason"].as_str().unwrap().to_owned();
     assert!(why.starts_with("restored from a backup of "), "its bench waits for a person: {why}");
     for k in 0..20 {
-        assert_eq!(add_powder(&service, token, &format!("powder_{k}")).await, 409, "powder_{k} is there");
+        assert_eq!(
+            add_powder(&service, token, &format!("powder_{k}")).await,
+            409,
+            "powder_{k} is there"
+        );
     }
     service.kill();
 }
@@ -160,7 +193,10 @@ fn a_start_without_its_database_beside_blobs_is_refused_and_deletes_nothing() {
         for arguments in [&["serve", "--listen", "127.0.0.1:0"][..], &["jobs"]] {
             let refused = flip(&data, arguments);
             let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-            assert!(!refused.status.success() && said.contains("flip.db is missing or empty"), "{said}");
+            assert!(
+                !refused.status.success() && said.contains("flip.db is missing or empty"),
+                "{said}"
+            );
         }
         assert!(blob.exists());
         fs::write(&database, &removed).unwrap();
@@ -192,7 +228,10 @@ async fn a_database_of_a_newer_flip_is_refused_and_so_is_a_damaged_one() {
         fs::write(&database, &bytes).unwrap();
         let refused = flip(&data, &["serve", "--listen", "127.0.0.1:0"]);
         let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-        assert!(!refused.status.success() && said.contains("damaged") && said.contains("flip restore"), "{said}");
+        assert!(
+            !refused.status.success() && said.contains("damaged") && said.contains("flip restore"),
+            "{said}"
+        );
         assert_eq!(fs::read(&database).unwrap(), bytes, "nothing was changed");
     }
     fs::write(&database, &sound).unwrap();

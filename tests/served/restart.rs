@@ -17,7 +17,12 @@ impl Service {
     async fn post(&self, path: &str, token: &str, body: &Value) -> Value {
         let request = self.client.post(format!("{}{path}", self.url)).bearer_auth(token).json(body);
         let response = request.send().await.unwrap();
-        assert!(response.status().is_success(), "{path}: {} {}", response.status(), response.text().await.unwrap());
+        assert!(
+            response.status().is_success(),
+            "{path}: {} {}",
+            response.status(),
+            response.text().await.unwrap()
+        );
         response.json().await.unwrap()
     }
 
@@ -27,9 +32,15 @@ impl Service {
 
     /// Requests a weighing; returns its id.
     async fn weigh(&self, token: &str, key: &str, body: &Value) -> String {
-        let request = self.client.post(format!("{}/v1/weighings", self.url)).bearer_auth(token).json(body);
+        let request =
+            self.client.post(format!("{}/v1/weighings", self.url)).bearer_auth(token).json(body);
         let response = request.header("Idempotency-Key", key).send().await.unwrap();
-        assert!(response.status().is_success(), "{} {}", response.status(), response.text().await.unwrap());
+        assert!(
+            response.status().is_success(),
+            "{} {}",
+            response.status(),
+            response.text().await.unwrap()
+        );
         response.json::<Value>().await.unwrap()["id"].as_str().unwrap().to_owned()
     }
 
@@ -55,7 +66,10 @@ async fn torment(mut service: Service, folder: &Path, job: &str, series: &str) -
     for kill in 0..KILLS {
         let before = service.items(series).await.len();
         let deadline = Instant::now() + PATIENCE;
-        while kill % 2 == 0 && service.items(series).await.len() == before && service.works_on(job).await {
+        while kill % 2 == 0
+            && service.items(series).await.len() == before
+            && service.works_on(job).await
+        {
             assert!(Instant::now() < deadline, "nothing is saved");
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
@@ -78,7 +92,8 @@ async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_n
     let token = service.token.clone().expect("the first start prints a token");
 
     let request = json!({"powder": "sand", "method": "sequential", "sets": 2, "seed": 3});
-    let calibration = service.post("/v1/calibrations", &token, &request).await["id"].as_str().unwrap().to_owned();
+    let calibration =
+        service.post("/v1/calibrations", &token, &request).await["id"].as_str().unwrap().to_owned();
     let trials = format!("/v1/calibrations/{calibration}/trials");
     let service = torment(service, folder.path(), &calibration, &trials).await;
     let job = service.ended(&calibration).await;
@@ -92,7 +107,8 @@ async fn ten_kills_during_a_calibration_and_a_training_lose_nothing_and_repeat_n
     assert!(is_whole(&trials));
 
     let request = json!({"powders": ["sand"], "episodes": 12, "surrogate_episodes": 0, "seed": 3});
-    let training = service.post("/v1/trainings", &token, &request).await["id"].as_str().unwrap().to_owned();
+    let training =
+        service.post("/v1/trainings", &token, &request).await["id"].as_str().unwrap().to_owned();
     let episodes = format!("/v1/trainings/{training}/episodes");
     let service = torment(service, folder.path(), &training, &episodes).await;
     let job = service.ended(&training).await;
@@ -132,7 +148,9 @@ async fn interrupted_weighing(service: Service, folder: &Path, token: &str) -> S
     let service = Service::start(folder);
     assert_eq!(state(&service, &moving).await, "unknown");
     assert_eq!(service.weigh(token, "moving", &body).await, moving, "its key does not pour again");
-    while ["planned", "armed", "dosing", "settling"].contains(&state(&service, &waiting).await.as_str()) {
+    while ["planned", "armed", "dosing", "settling"]
+        .contains(&state(&service, &waiting).await.as_str())
+    {
         assert!(Instant::now() < deadline, "the waiting weighing is not taken up");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
@@ -143,12 +161,18 @@ async fn interrupted_weighing(service: Service, folder: &Path, token: &str) -> S
 
 /// SQLite's own integrity check of the file left by so many processes.
 async fn check_database(folder: &Path) {
-    let pool = SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.join("flip.db"))).await.unwrap();
-    let integrity: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(&pool).await.unwrap();
+    let pool =
+        SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.join("flip.db")))
+            .await
+            .unwrap();
+    let integrity: String =
+        sqlx::query_scalar("PRAGMA integrity_check").fetch_one(&pool).await.unwrap();
     assert_eq!(integrity, "ok");
-    let broken: Vec<sqlx::sqlite::SqliteRow> = sqlx::query("PRAGMA foreign_key_check").fetch_all(&pool).await.unwrap();
+    let broken: Vec<sqlx::sqlite::SqliteRow> =
+        sqlx::query("PRAGMA foreign_key_check").fetch_all(&pool).await.unwrap();
     assert!(broken.is_empty());
-    let twice = "SELECT count(*) FROM event WHERE kind = 'state' AND data ->> '$.state' = 'succeeded'";
+    let twice =
+        "SELECT count(*) FROM event WHERE kind = 'state' AND data ->> '$.state' = 'succeeded'";
     let successes: i64 = sqlx::query_scalar(twice).fetch_one(&pool).await.unwrap();
     assert_eq!(successes, 2, "each job succeeds once");
     pool.close().await;
@@ -160,7 +184,8 @@ async fn more_heaps(folder: &Path, known: i64) -> i64 {
     let pool = SqlitePool::connect_with(options).await.unwrap();
     let began = Instant::now();
     loop {
-        let heaps: i64 = sqlx::query_scalar("SELECT count(*) FROM emulator_run").fetch_one(&pool).await.unwrap();
+        let heaps: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM emulator_run").fetch_one(&pool).await.unwrap();
         if heaps > known || heaps >= 240 {
             pool.close().await;
             return heaps;
@@ -179,7 +204,8 @@ async fn killed_while_it_builds_an_emulator_the_service_goes_on_with_the_heaps_i
     let request = json!({
         "repose_deg": 35.0, "particles": 300, "sets": 2, "verify_repeats": 2, "readings": 2, "tolerance_deg": 5.0
     });
-    let calibration = service.post("/v1/calibrations", &token, &request).await["id"].as_str().unwrap().to_owned();
+    let calibration =
+        service.post("/v1/calibrations", &token, &request).await["id"].as_str().unwrap().to_owned();
     let mut known = 0;
     for _ in 0..3 {
         known = more_heaps(folder.path(), known).await;
@@ -194,17 +220,26 @@ async fn killed_while_it_builds_an_emulator_the_service_goes_on_with_the_heaps_i
     assert_eq!(result["reached"], true, "{result}");
     service.kill();
 
-    let pool =
-        SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.path().join("flip.db"))).await.unwrap();
+    let pool = SqlitePool::connect_with(
+        SqliteConnectOptions::new().filename(folder.path().join("flip.db")),
+    )
+    .await
+    .unwrap();
     let distinct = "SELECT count(DISTINCT (body ->> '$.seed') || (body ->> '$.parameters')) FROM";
     for (table, rows) in [("emulator_run", 240), ("trial", -1)] {
-        let different: i64 =
-            sqlx::query_scalar(sqlx::AssertSqlSafe(format!("{distinct} {table}"))).fetch_one(&pool).await.unwrap();
-        let stored: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {table}")))
+        let different: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(format!("{distinct} {table}")))
             .fetch_one(&pool)
             .await
             .unwrap();
-        assert!(different == stored && (rows < 0 || stored == rows), "{table}: {stored} heaps, {different} different");
+        let stored: i64 =
+            sqlx::query_scalar(sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {table}")))
+                .fetch_one(&pool)
+                .await
+                .unwrap();
+        assert!(
+            different == stored && (rows < 0 || stored == rows),
+            "{table}: {stored} heaps, {different} different"
+        );
     }
     pool.close().await;
 }

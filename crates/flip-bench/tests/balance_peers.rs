@@ -32,7 +32,9 @@ fn python() -> Option<&'static Path> {
         let output = Command::new("python3").arg(script()).arg("install").arg(folder).output();
         let said = output.map_err(|error| format!("python3: {error}"))?.stdout;
         let said = String::from_utf8_lossy(&said).trim().to_owned();
-        said.strip_prefix("python ").map(PathBuf::from).ok_or_else(|| said.trim_start_matches("skip ").to_owned())
+        said.strip_prefix("python ")
+            .map(PathBuf::from)
+            .ok_or_else(|| said.trim_start_matches("skip ").to_owned())
     });
     match installed {
         Ok(python) => Some(python),
@@ -89,8 +91,11 @@ fn check_driver(kind: &str, dialect: Dialect) {
     // Their MT-SICS simulator flags no immediate reading as stable, so the separate command is
     // used.
     let stable_by = StableBy::Command;
-    let settings =
-        Settings { stable_by, readability_mg: Some(0.1), ..Settings::new(dialect, simulator.address.as_str()) };
+    let settings = Settings {
+        stable_by,
+        readability_mg: Some(0.1),
+        ..Settings::new(dialect, simulator.address.as_str())
+    };
     let mut balance = Balance::open(&settings, Tap::none(), Clock::wall()).unwrap();
 
     let identity = balance.identify().unwrap();
@@ -148,7 +153,8 @@ fn emulated(dialect: Dialect, fault: Option<Fault>) -> (&'static str, Emulated) 
     let settings = Emulation { dialect, noise_mg: 0.0, ..Emulation::default() };
     // Ten times real time, so the stable flag comes quickly.
     let pan = Pan::holding(52_187.0, Clock::fast(10.0));
-    let mut balance = Emulated::start(settings, pan, Socket::Tcp(([127, 0, 0, 1], 0).into())).unwrap();
+    let mut balance =
+        Emulated::start(settings, pan, Socket::Tcp(([127, 0, 0, 1], 0).into())).unwrap();
     if let Some(fault) = fault {
         balance.inject(fault);
     }

@@ -27,7 +27,9 @@ fn program() -> &'static Path {
         let mut compiler = Command::new("g++");
         compiler.args(["-std=c++11", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Werror"]);
         // Exits at the first out-of-bounds read or write.
-        compiler.args(["-fsanitize=address,undefined", "-fno-sanitize-recover=all", source, "-o"]).arg(&program);
+        compiler
+            .args(["-fsanitize=address,undefined", "-fno-sanitize-recover=all", source, "-o"])
+            .arg(&program);
         let compiled = compiler.output().expect("`make test` needs g++");
         assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
         program
@@ -43,7 +45,11 @@ struct Board {
 impl Board {
     fn start(jam: Option<u16>) -> Self {
         let mut process = Command::new(program())
-            .args([BOOT.as_millis().to_string()].into_iter().chain(jam.map(|permille| permille.to_string())))
+            .args(
+                [BOOT.as_millis().to_string()]
+                    .into_iter()
+                    .chain(jam.map(|permille| permille.to_string())),
+            )
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -71,11 +77,17 @@ fn the_sketch_says_hello_opens_and_closes() {
     let mut gate = board.driver();
     assert_eq!(gate.status().unwrap().closed_for, Some(Why::Reset));
     let open = gate.open_gate(Opening::FULL, LONG).unwrap();
-    assert_eq!((open.state, open.opening_permille, open.open_stop, open.closed_for), (State::Open, 1000, true, None));
+    assert_eq!(
+        (open.state, open.opening_permille, open.open_stop, open.closed_for),
+        (State::Open, 1000, true, None)
+    );
     let part = gate.open_gate(Opening::fraction(0.3).unwrap(), LONG).unwrap();
     assert_eq!((part.state, part.opening_permille, part.closed_stop), (State::Open, 300, false));
     let closed = gate.close().unwrap();
-    assert_eq!((closed.state, closed.closed_stop, closed.closed_for), (State::Closed, true, Some(Why::Asked)));
+    assert_eq!(
+        (closed.state, closed.closed_stop, closed.closed_for),
+        (State::Closed, true, Some(Why::Asked))
+    );
 }
 
 #[test]
@@ -107,7 +119,10 @@ fn opening_the_port_again_resets_the_board() {
 fn a_slide_that_jams_never_presses_its_end_stop() {
     let board = Board::start(Some(500));
     let error = board.driver().open_gate(Opening::FULL, LONG).unwrap_err();
-    assert!(matches!(&error, DeviceError::Faulted { cause, .. } if cause.contains("does not open")), "{error}");
+    assert!(
+        matches!(&error, DeviceError::Faulted { cause, .. } if cause.contains("does not open")),
+        "{error}"
+    );
 }
 
 #[test]
@@ -159,7 +174,10 @@ fn noise_does_not_break_the_sketch() {
     line.discard_input().unwrap();
     line.send(framed("1 HELLO").as_bytes()).unwrap();
     let reply = parse(&line.receive(Duration::from_secs(2)).unwrap()).unwrap();
-    assert!(matches!(reply.said, Said::Hi(_, status) if status.state == State::Closed), "{reply:?}");
+    assert!(
+        matches!(reply.said, Said::Hi(_, status) if status.state == State::Closed),
+        "{reply:?}"
+    );
 }
 
 /// A board's replies to these lines, each with a number for whether it stands or moves.
@@ -212,7 +230,10 @@ fn the_emulated_board_and_the_sketch_answer_alike() {
         "4 CLOSE",
     ];
     let mut lines: Vec<String> = requests.iter().map(|request| framed(request)).collect();
-    lines.extend(["5 CLOSE*0000\n", "5 CLOSE\n", "*FFFF\n", "5 CLOSE*48e9\n", "\r\n\n*\n"].map(str::to_owned));
+    lines.extend(
+        ["5 CLOSE*0000\n", "5 CLOSE\n", "*FFFF\n", "5 CLOSE*48e9\n", "\r\n\n*\n"]
+            .map(str::to_owned),
+    );
     lines.push(framed(&format!("5 OPEN {}", "0".repeat(80))));
     lines.push(framed("6 CLOSE"));
     let lines: Vec<&str> = lines.iter().map(String::as_str).collect();
@@ -220,11 +241,14 @@ fn the_emulated_board_and_the_sketch_answer_alike() {
     let board = Board::start(None);
     let settings = Settings { boot: BOOT, ..Settings::default() };
     let emulated = Port::pty(EmulatedGate::new(Slide::new(settings, Clock::wall()))).unwrap();
-    let (sketch, emulated) = (transcript(&board.port, &lines), transcript(emulated.address(), &lines));
+    let (sketch, emulated) =
+        (transcript(&board.port, &lines), transcript(emulated.address(), &lines));
     for ((line, sketch), emulated) in lines.iter().zip(&sketch).zip(&emulated) {
         // Intermediate positions, and whether a moment was enough to arrive, depend on the machine.
         let without_time = |reply: &str| match parse(reply.as_bytes()).unwrap().said {
-            Said::Ok(status) => format!("{:?} {:?}", parse(reply.as_bytes()).unwrap().seq, status.closed_for),
+            Said::Ok(status) => {
+                format!("{:?} {:?}", parse(reply.as_bytes()).unwrap().seq, status.closed_for)
+            }
             _ => reply.to_owned(),
         };
         assert_eq!(without_time(sketch), without_time(emulated), "{line}");

@@ -11,7 +11,8 @@ use super::hypothesis::{Cause, Responses};
 use super::investigate::{Judgement, evidence, worth};
 use super::posterior::Posterior;
 use super::report::{
-    CauseReport, Experiment, Finding, FormClass, NullCheck, ParameterReport, SideChannel, Unexplained, Verdict,
+    CauseReport, Experiment, Finding, FormClass, NullCheck, ParameterReport, SideChannel,
+    Unexplained, Verdict,
 };
 use super::screen::{Prepared, Screening, Settings};
 use super::{effects, experiment, law, words};
@@ -44,19 +45,30 @@ impl Beside<'_> {
     ///
     /// # Errors
     /// A campaign whose runs carry no information about their noise.
-    pub fn heard(&self, p_value: f64, settings: &Settings) -> Result<(Heard, SideChannel), FieldError> {
+    pub fn heard(
+        &self,
+        p_value: f64,
+        settings: &Settings,
+    ) -> Result<(Heard, SideChannel), FieldError> {
         let Self { campaign, prepared, posterior, screening } = self;
         let judgement = Judgement::of(prepared, posterior, p_value);
         let none = Responses::new();
         let told = effects::told(campaign, &none, &judgement.told)?;
         let gain = match judgement.proposal {
             Proposal::Cause => {
-                worth(campaign, &none, &judgement, settings, |_| ControlFlow::Continue(())).ok().flatten()
+                worth(campaign, &none, &judgement, settings, |_| ControlFlow::Continue(()))
+                    .ok()
+                    .flatten()
             }
             _ => None,
         };
-        let claim = Claim::of(judgement.proposal, told, gain.as_ref().is_some_and(|gain| gain.accepted));
-        let causes = claim.told.iter().filter_map(|it| self.cause(&it.cause, it.finding.as_ref()?)).collect();
+        let claim =
+            Claim::of(judgement.proposal, told, gain.as_ref().is_some_and(|gain| gain.accepted));
+        let causes = claim
+            .told
+            .iter()
+            .filter_map(|it| self.cause(&it.cause, it.finding.as_ref()?))
+            .collect();
         let unexplained = judgement.unexplained().map(|covariate| match covariate {
             Some(covariate) => law::law(campaign, prepared, covariate),
             None => Unexplained {
@@ -74,7 +86,8 @@ impl Beside<'_> {
         };
         let ambiguous_between = judgement.ambiguous_between();
         let probability = |cause: &Cause| posterior.inclusion_of(cause);
-        let sentence = words::beside(campaign.quantity, &claim, probability, &ambiguous_between, p_value);
+        let sentence =
+            words::beside(campaign.quantity, &claim, probability, &ambiguous_between, p_value);
         let side = SideChannel {
             channel: campaign.quantity.channel(),
             verdict,
@@ -86,7 +99,19 @@ impl Beside<'_> {
             gain,
         };
         let (what, findings) = (campaign.quantity.name(), claim.findings());
-        Ok((Heard { what, verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment }, side))
+        Ok((
+            Heard {
+                what,
+                verdict,
+                sentence,
+                findings,
+                causes,
+                ambiguous_between,
+                unexplained,
+                experiment,
+            },
+            side,
+        ))
     }
 
     fn cause(&self, cause: &Cause, finding: &Finding) -> Option<CauseReport> {
@@ -111,5 +136,8 @@ impl Beside<'_> {
 
 /// The same runs with flow time as the measured quantity.
 fn timed(it: Experiment) -> Experiment {
-    Experiment { what: format!("{}, and of each the time that the powder takes to flow out", it.what), ..it }
+    Experiment {
+        what: format!("{}, and of each the time that the powder takes to flow out", it.what),
+        ..it
+    }
 }

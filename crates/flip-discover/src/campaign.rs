@@ -34,7 +34,10 @@ pub fn repeats_of(mean_deg: f64, sd_deg: f64, repeats: u32) -> Vec<f64> {
     let middle = f64::from(repeats.saturating_sub(1)) / 2.0;
     let places: Vec<f64> = (0..repeats).map(|k| f64::from(k) - middle).collect();
     let spread = (places.iter().map(|x| x * x).sum::<f64>() / (2.0 * middle).max(1.0)).sqrt();
-    places.iter().map(|place| mean_deg + if spread > 0.0 { sd_deg * place / spread } else { 0.0 }).collect()
+    places
+        .iter()
+        .map(|place| mean_deg + if spread > 0.0 { sd_deg * place / spread } else { 0.0 })
+        .collect()
 }
 
 /// A quantity recorded with each run; `None` where it was not.
@@ -160,13 +163,15 @@ impl Campaign {
             return Err(FieldError::new("repose_deg", message));
         }
         if ![0, self.runs.len()].contains(&self.flow_time_s.len()) {
-            let message = format!("has {} values for {} runs", self.flow_time_s.len(), self.runs.len());
+            let message =
+                format!("has {} values for {} runs", self.flow_time_s.len(), self.runs.len());
             return Err(FieldError::new("flow_time_s", message));
         }
         let odd = self.covariates.iter().find(|covariate| covariate.len() != self.runs.len());
         match odd {
             Some(covariate) => {
-                let message = format!("has {} values for {} runs", covariate.len(), self.runs.len());
+                let message =
+                    format!("has {} values for {} runs", covariate.len(), self.runs.len());
                 Err(FieldError::new(covariate.name.clone(), message))
             }
             None => Ok(self),
@@ -200,15 +205,24 @@ impl Campaign {
         let session = all.runs.iter().map(|run| run.session + 1).max().unwrap_or(0);
         let known = |powder: &String| self.powders.iter().position(|it| it == powder);
         all.powders.extend(other.powders.iter().filter(|powder| known(powder).is_none()).cloned());
-        let place = |powder: usize| all.powders.iter().position(|it| *it == other.powders[powder]).unwrap_or(0);
-        let moved =
-            |run: &Run| Run { powder: place(run.powder), session: session + run.session, repose_deg: None, ..*run };
+        let place = |powder: usize| {
+            all.powders.iter().position(|it| *it == other.powders[powder]).unwrap_or(0)
+        };
+        let moved = |run: &Run| Run {
+            powder: place(run.powder),
+            session: session + run.session,
+            repose_deg: None,
+            ..*run
+        };
         let runs: Vec<Run> = other.runs.iter().map(moved).collect();
         all.runs.extend(runs);
         for Covariate { name, values } in &mut all.covariates {
             match (values, other.values(name)) {
                 (Values::Numbers(of), Some(Values::Numbers(more))) => of.extend(more),
-                (Values::Levels { names, of }, Some(Values::Levels { names: theirs, of: more })) => {
+                (
+                    Values::Levels { names, of },
+                    Some(Values::Levels { names: theirs, of: more }),
+                ) => {
                     let level = |level: &Option<usize>| {
                         let name = &theirs[(*level)?];
                         names.iter().position(|it| it == name)
@@ -261,7 +275,9 @@ impl Campaign {
             mean(&mates.filter_map(|(_, value)| *value).collect::<Vec<_>>())
         };
         let filled = self.runs.iter().zip(values);
-        Ok(filled.map(|(run, value)| value.or_else(|| of_session(run.session)).unwrap_or(overall)).collect())
+        Ok(filled
+            .map(|(run, value)| value.or_else(|| of_session(run.session)).unwrap_or(overall))
+            .collect())
     }
 
     /// Level of each run and the number of levels; runs without one form a level of their own.
@@ -288,7 +304,10 @@ impl Campaign {
     }
 
     pub(super) fn values(&self, name: &str) -> Option<&Values> {
-        self.covariates.iter().find(|covariate| covariate.name == name).map(|covariate| &covariate.values)
+        self.covariates
+            .iter()
+            .find(|covariate| covariate.name == name)
+            .map(|covariate| &covariate.values)
     }
 }
 

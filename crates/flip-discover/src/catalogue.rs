@@ -110,7 +110,9 @@ impl Mechanism {
     pub(super) fn moves(self, quantity: Quantity) -> bool {
         match quantity {
             Quantity::Repose => true,
-            Quantity::FlowTime => !matches!(self, Self::MethodBias | Self::BaseFriction | Self::FunnelHeight),
+            Quantity::FlowTime => {
+                !matches!(self, Self::MethodBias | Self::BaseFriction | Self::FunnelHeight)
+            }
             Quantity::Scatter => false,
         }
     }
@@ -145,9 +147,13 @@ impl Mechanism {
 
     /// Its strength by the named form at these covariate values; `None` if it has no such form.
     pub(super) fn strength(self, form: &str, values: &[f64]) -> Option<f64> {
-        let at = |forms: &[Form], name: &str, value: f64| Some(forms.iter().find(|it| it.0 == name)?.1(value));
+        let at = |forms: &[Form], name: &str, value: f64| {
+            Some(forms.iter().find(|it| it.0 == name)?.1(value))
+        };
         match (self, form.split_once(TIMES), values) {
-            (Self::HumidAgeing, Some((humid, aged)), [h, t]) => Some(at(&HUMID, humid, *h)? * at(&REST, aged, *t)?),
+            (Self::HumidAgeing, Some((humid, aged)), [h, t]) => {
+                Some(at(&HUMID, humid, *h)? * at(&REST, aged, *t)?)
+            }
             (_, None, [value]) => at(self.forms(), form, *value),
             _ => None,
         }
@@ -174,7 +180,10 @@ impl Mechanism {
                 let rests = of(&rest, &REST);
                 let product = |(humid, of_humidity): (String, Vec<f64>)| {
                     let times = move |(aged, of_rest): &(String, Vec<f64>)| {
-                        (format!("{humid}{TIMES}{aged}"), of_humidity.iter().zip(of_rest).map(|(h, t)| h * t).collect())
+                        (
+                            format!("{humid}{TIMES}{aged}"),
+                            of_humidity.iter().zip(of_rest).map(|(h, t)| h * t).collect(),
+                        )
                     };
                     rests.iter().map(times).collect::<Vec<_>>()
                 };
@@ -182,10 +191,15 @@ impl Mechanism {
             }
             _ => of(&values, self.forms()),
         };
-        let course = |(name, strength): (String, Vec<f64>)| Some((name, Course::of_strength(&strength, campaign)?));
+        let course = |(name, strength): (String, Vec<f64>)| {
+            Some((name, Course::of_strength(&strength, campaign)?))
+        };
         let courses: Vec<(String, Course)> = strengths.into_iter().filter_map(course).collect();
         match courses.is_empty() {
-            true => Err(format!("{} has no range in which it could act", self.covariates().join(" and "))),
+            true => Err(format!(
+                "{} has no range in which it could act",
+                self.covariates().join(" and ")
+            )),
             false => Ok(courses),
         }
     }
@@ -228,7 +242,9 @@ const DELIQUESCENCE: [Form; 6] = [
 const CHARGE: [Form; 3] = [
     ("45 % - h below 45 %", |h| (0.45 - h / 100.0).max(0.0)),
     ("(45 % - h)^2 below 45 %", |h| (0.45 - h / 100.0).max(0.0).powi(2)),
-    ("1 - exp(-(45 % - h) / 5 %) below 45 %", |h| 1.0 - (-(0.45 - h / 100.0).max(0.0) / 0.05).exp()),
+    ("1 - exp(-(45 % - h) / 5 %) below 45 %", |h| {
+        1.0 - (-(0.45 - h / 100.0).max(0.0) / 0.05).exp()
+    }),
 ];
 /// Minutes.
 const REST: [Form; 8] = [
@@ -285,7 +301,10 @@ fn step(at: f64, middle: f64, width: f64) -> f64 {
 }
 
 fn of(values: &[f64], forms: &[Form]) -> Vec<(String, Vec<f64>)> {
-    forms.iter().map(|(name, form)| ((*name).to_owned(), values.iter().map(|&value| form(value)).collect())).collect()
+    forms
+        .iter()
+        .map(|(name, form)| ((*name).to_owned(), values.iter().map(|&value| form(value)).collect()))
+        .collect()
 }
 
 /// The same strengths, zero in these runs.

@@ -50,8 +50,9 @@ pub fn investigate(
     mut on_progress: impl FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Option<Report>, FieldError> {
     let Settings { seed, simulations } = settings.checked()?;
-    let mut step =
-        |fraction: f64, message: &str| on_progress(&Progress { fraction, message: message.to_owned() }).is_break();
+    let mut step = |fraction: f64, message: &str| {
+        on_progress(&Progress { fraction, message: message.to_owned() }).is_break()
+    };
     let mut done = 0.0;
     let mut screened = None;
     if let Some(traces) = traces {
@@ -62,12 +63,22 @@ pub fn investigate(
         done = TRACES_SHARE;
     }
     // Readings of which nothing was judged cost the other channels nothing.
-    let trace_p = screened.as_ref().filter(|(_, it)| !it.judged.is_empty()).map(|(_, screening)| screening.p_value);
+    let trace_p = screened
+        .as_ref()
+        .filter(|(_, it)| !it.judged.is_empty())
+        .map(|(_, screening)| screening.p_value);
     let Some(campaign) = campaign else {
         let Some((traces, screening)) = screened else {
-            return Err(FieldError::new("measurements", "or traces are needed: there is nothing to judge"));
+            return Err(FieldError::new(
+                "measurements",
+                "or traces are needed: there is nothing to judge",
+            ));
         };
-        let mut document = Report::blank(base, screening.p_value, NullCheck::of(&screening.null, screening.statistic));
+        let mut document = Report::blank(
+            base,
+            screening.p_value,
+            NullCheck::of(&screening.null, screening.statistic),
+        );
         add_traces(&mut document, report(traces, &screening, screening.p_value));
         return Ok(Some(document));
     };
@@ -106,7 +117,8 @@ pub fn investigate(
         on_progress(&Progress { fraction, message: progress.message.clone() })
     };
     let others: Vec<f64> = trace_p.into_iter().chain(flow_p).collect();
-    let found = angles(campaign, &responses(campaign), base, settings, |p| holm(p, &others), later)?;
+    let found =
+        angles(campaign, &responses(campaign), base, settings, |p| holm(p, &others), later)?;
     let Some(mut document) = found else { return Ok(None) };
     document.left_out = left_out;
     // Nor do angles of which nothing was judged.
@@ -133,7 +145,8 @@ pub fn investigate(
 /// The p-value of one channel, corrected for the others.
 fn holm(p: f64, others: &[f64]) -> f64 {
     let channels = others.len() + 1;
-    let mut ascending: Vec<f64> = others.iter().copied().filter(|&other| other < p).chain([p]).collect();
+    let mut ascending: Vec<f64> =
+        others.iter().copied().filter(|&other| other < p).chain([p]).collect();
     ascending.sort_by(f64::total_cmp);
     let grown = ascending.iter().enumerate().map(|(k, p)| (channels - k) as f64 * p);
     grown.fold(0.0, f64::max).min(1.0)
@@ -147,7 +160,16 @@ fn without(all: &[f64], p: f64) -> Vec<f64> {
 
 /// Adds the results of one more channel to a document.
 fn add(document: &mut Report, heard: Heard) {
-    let Heard { what, verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment } = heard;
+    let Heard {
+        what,
+        verdict,
+        sentence,
+        findings,
+        causes,
+        ambiguous_between,
+        unexplained,
+        experiment,
+    } = heard;
     let leads = strength(verdict) > strength(document.verdict);
     // A claim must belong to a channel in which it was found, and a claim drops any hint.
     if leads {
@@ -186,7 +208,8 @@ fn add(document: &mut Report, heard: Heard) {
     if leads {
         parts.reverse();
     }
-    document.sentence = parts.iter().filter(|it| !it.is_empty()).map(String::as_str).collect::<Vec<_>>().join(" ");
+    document.sentence =
+        parts.iter().filter(|it| !it.is_empty()).map(String::as_str).collect::<Vec<_>>().join(" ");
 }
 
 /// Merges the results of two channels for one cause: the larger probability, and the numbers of
@@ -195,7 +218,8 @@ fn add_cause(causes: &mut Vec<CauseReport>, cause: CauseReport) {
     match causes.iter_mut().find(|it| it.mechanism == cause.mechanism) {
         None => causes.push(cause),
         Some(known) => {
-            known.inclusion_probability = known.inclusion_probability.max(cause.inclusion_probability);
+            known.inclusion_probability =
+                known.inclusion_probability.max(cause.inclusion_probability);
             known.parameters.extend(cause.parameters);
             let new = cause.powders.into_iter().filter(|powder| !known.powders.contains(powder));
             let new: Vec<String> = new.collect();
@@ -206,7 +230,8 @@ fn add_cause(causes: &mut Vec<CauseReport>, cause: CauseReport) {
 
 /// Adds the results of the balance readings to a document.
 fn add_traces(document: &mut Report, of_traces: TraceReport) {
-    let TraceReport { channel, sentence, findings, causes, ambiguous_between, unexplained, .. } = of_traces;
+    let TraceReport { channel, sentence, findings, causes, ambiguous_between, unexplained, .. } =
+        of_traces;
     let leads = strength(channel.verdict) > strength(document.verdict);
     // Findings come first, within each channel from its most probable cause on.
     match leads {
@@ -218,7 +243,19 @@ fn add_traces(document: &mut Report, of_traces: TraceReport) {
     let experiment = channel.suggested_experiment.clone();
     let verdict = channel.verdict;
     let what = "Balance readings";
-    add(document, Heard { what, verdict, sentence, findings, causes, ambiguous_between, unexplained, experiment });
+    add(
+        document,
+        Heard {
+            what,
+            verdict,
+            sentence,
+            findings,
+            causes,
+            ambiguous_between,
+            unexplained,
+            experiment,
+        },
+    );
     document.traces = Some(channel);
 }
 
@@ -253,7 +290,10 @@ mod tests {
         // become 0.06.
         let both = |a: f64, b: f64| [holm(a, &[b]), holm(b, &[a])];
         assert_eq!((both(0.01, 0.04), both(0.03, 0.04)), ([0.02, 0.04], [0.06, 0.06]));
-        assert_eq!((both(0.7, 0.9), both(0.03, 0.03), holm(0.03, &[])), ([1.0, 1.0], [0.06, 0.06], 0.03));
+        assert_eq!(
+            (both(0.7, 0.9), both(0.03, 0.03), holm(0.03, &[])),
+            ([1.0, 1.0], [0.06, 0.06], 0.03)
+        );
         // Of three: 0.01, 0.02 and 0.03 become 0.03, 0.04 and 0.04, in any order.
         let three = [0.02, 0.03, 0.01];
         let of_three: Vec<f64> = three.iter().map(|&p| holm(p, &without(&three, p))).collect();
@@ -261,8 +301,9 @@ mod tests {
         // Nothing wrong, each p uniform: one is found in slightly less than 5 % of investigations,
         // 1 - (1 - 0.025)^2.
         let grid = || (0..400).map(|k| (f64::from(k) + 0.5) / 400.0);
-        let alarms =
-            grid().flat_map(|a| grid().map(move |b| (a, b))).filter(|&(a, b)| both(a, b).iter().any(|p| *p <= 0.05));
+        let alarms = grid()
+            .flat_map(|a| grid().map(move |b| (a, b)))
+            .filter(|&(a, b)| both(a, b).iter().any(|p| *p <= 0.05));
         let share = alarms.count() as f64 / 160_000.0;
         assert!((share - 0.049_375).abs() < 1e-4, "{share}");
     }

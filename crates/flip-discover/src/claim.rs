@@ -62,7 +62,8 @@ impl Claim {
         if verdict == Verdict::Cause {
             told.retain(Told::is_told);
         }
-        let is_worth_something = is_accepted && !matches!(verdict, Verdict::NoDiscrepancy | Verdict::Hint);
+        let is_worth_something =
+            is_accepted && !matches!(verdict, Verdict::NoDiscrepancy | Verdict::Hint);
         Self { verdict, told, passing, is_worth_something }
     }
 

@@ -35,7 +35,8 @@ pub(super) fn detectable(
         .zip(&prepared.observed)
         .map(|(&i, angle)| angle - shifts.as_ref().map_or(0.0, |shifts| shifts[i]))
         .collect();
-    let drawn = noise::with_simulated(campaign, weights, noises, &left, settings.seed ^ 1, CAMPAIGNS);
+    let drawn =
+        noise::with_simulated(campaign, weights, noises, &left, settings.seed ^ 1, CAMPAIGNS);
     let drawn = drawn.columns(1, CAMPAIGNS as usize).into_owned();
     let threshold = quantile(&screening.null, 0.95).unwrap_or(0.0);
     let repeat_deg = prepared.repeat_sd_deg(&left);
@@ -46,9 +47,12 @@ pub(super) fn detectable(
         let course = features.column(0).into_owned();
         let sign = hypothesis.sign.unwrap_or(1.0);
         let shows = |size: f64| {
-            let moved = DMatrix::from_fn(drawn.nrows(), drawn.ncols(), |i, k| drawn[(i, k)] + sign * size * course[i]);
+            let moved = DMatrix::from_fn(drawn.nrows(), drawn.ncols(), |i, k| {
+                drawn[(i, k)] + sign * size * course[i]
+            });
             let odds = prepared.log_odds(hypothesis, &prepared.seen(&moved));
-            let found = odds.iter().filter(|&&odds| odds + hypothesis.prior.ln() > threshold).count();
+            let found =
+                odds.iter().filter(|&&odds| odds + hypothesis.prior.ln() > threshold).count();
             found as f64 >= POWER * f64::from(CAMPAIGNS)
         };
         let [mut low, mut high] = BOUNDS;
@@ -61,7 +65,8 @@ pub(super) fn detectable(
         }
         let mut sorted: Vec<f64> = course.iter().copied().collect();
         sorted.sort_by(f64::total_cmp);
-        let between = |low: f64, high: f64| Some(quantile(&sorted, high)? - quantile(&sorted, low)?);
+        let between =
+            |low: f64, high: f64| Some(quantile(&sorted, high)? - quantile(&sorted, low)?);
         // A step passed by few runs has no range between the percentiles; then the full range is
         // used.
         let (range, all) = (between(0.05, 0.95)?, between(0.0, 1.0)?);

@@ -21,20 +21,32 @@ const PLACES: usize = 21;
 const BAND: f64 = 1.645;
 
 /// These causes, each with its effect on all powders and on each one.
-pub(super) fn told(campaign: &Campaign, responses: &Responses, causes: &[Cause]) -> Result<Vec<Told>, FieldError> {
-    let of = |cause: &Cause| Ok(Told { cause: cause.clone(), finding: finding(campaign, responses, cause)? });
+pub(super) fn told(
+    campaign: &Campaign,
+    responses: &Responses,
+    causes: &[Cause],
+) -> Result<Vec<Told>, FieldError> {
+    let of = |cause: &Cause| {
+        Ok(Told { cause: cause.clone(), finding: finding(campaign, responses, cause)? })
+    };
     causes.iter().map(of).collect()
 }
 
 /// The largest effect of a cause over its spans, preferring one that is distinguishable from zero.
-fn finding(campaign: &Campaign, responses: &Responses, cause: &Cause) -> Result<Option<Finding>, FieldError> {
+fn finding(
+    campaign: &Campaign,
+    responses: &Responses,
+    cause: &Cause,
+) -> Result<Option<Finding>, FieldError> {
     let mut best: Option<Finding> = None;
     for shares in [PERCENTILES, ENDS] {
         for span in spans(campaign, cause, shares) {
             let rank = |it: &Finding| (is_told(it.ci95, &it.unit), it.effect.abs());
             let finding = over(campaign, responses, cause, span)?;
-            best =
-                best.into_iter().chain(finding).max_by(|a, b| rank(a).partial_cmp(&rank(b)).unwrap_or(Ordering::Equal));
+            best = best
+                .into_iter()
+                .chain(finding)
+                .max_by(|a, b| rank(a).partial_cmp(&rank(b)).unwrap_or(Ordering::Equal));
         }
         // A step passed by few runs lies beyond the percentiles; names have none.
         let is_of_names = cause.covariates().iter().any(|name| levels(campaign, name).is_some());
@@ -55,12 +67,14 @@ fn over(
 ) -> Result<Option<Finding>, FieldError> {
     let powders = measured_with(campaign, &ends);
     let [low, high] = &ends;
-    let runs: Vec<_> = powders.iter().flat_map(|&p| [(p, low.clone(), None), (p, high.clone(), None)]).collect();
+    let runs: Vec<_> =
+        powders.iter().flat_map(|&p| [(p, low.clone(), None), (p, high.clone(), None)]).collect();
     let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0);
     let (with_runs, first) = extended(campaign, session, &runs);
     let prepared = Prepared::new(&with_runs, responses)?;
     let posterior = Posterior::new(&prepared);
-    let pairs: Vec<(usize, usize)> = (0..powders.len()).map(|k| (first + 2 * k, first + 2 * k + 1)).collect();
+    let pairs: Vec<(usize, usize)> =
+        (0..powders.len()).map(|k| (first + 2 * k, first + 2 * k + 1)).collect();
     let of = |pairs: &[(usize, usize)]| {
         let mixture = posterior.effect(cause, pairs).filter(|_| !pairs.is_empty())?;
         let told = |change: f64| campaign.quantity.told(change);
@@ -93,22 +107,26 @@ fn over(
 
 /// The powder with the largest effect relative to the width of its interval.
 fn clearest<'a>(of: &[&'a PowderEffect]) -> Option<&'a PowderEffect> {
-    let clear = |it: &PowderEffect| it.effect.abs() / (it.ci95[1] - it.ci95[0]).max(f64::MIN_POSITIVE);
+    let clear =
+        |it: &PowderEffect| it.effect.abs() / (it.ci95[1] - it.ci95[0]).max(f64::MIN_POSITIVE);
     of.iter().copied().max_by(|a, b| clear(a).total_cmp(&clear(b)))
 }
 
 /// Powders on which a change between these ends was seen; for names, those measured with both.
 fn measured_with(campaign: &Campaign, ends: &[Conditions; 2]) -> Vec<usize> {
-    let is_at = |i: usize, (name, setting): (&String, &Setting)| match (campaign.values(name), setting) {
-        (Some(Values::Levels { of, .. }), Setting::Level(level)) => of[i] == Some(*level),
-        _ => true,
-    };
+    let is_at =
+        |i: usize, (name, setting): (&String, &Setting)| match (campaign.values(name), setting) {
+            (Some(Values::Levels { of, .. }), Setting::Level(level)) => of[i] == Some(*level),
+            _ => true,
+        };
     let measured = campaign.measured();
     let was_at = |powder: usize, end: &Conditions| {
         let mut runs = measured.iter().filter(|&&i| campaign.runs[i].powder == powder);
         runs.any(|&i| end.iter().all(|at| is_at(i, at)))
     };
-    (0..campaign.powders.len()).filter(|&powder| ends.iter().all(|end| was_at(powder, end))).collect()
+    (0..campaign.powders.len())
+        .filter(|&powder| ends.iter().all(|end| was_at(powder, end)))
+        .collect()
 }
 
 /// The covariate of a cause; both of an interaction.
@@ -122,12 +140,17 @@ pub(super) fn covariate_of(cause: &Cause) -> Option<String> {
 fn spans(campaign: &Campaign, cause: &Cause, shares: [f64; 2]) -> Vec<(String, [Conditions; 2])> {
     let covariates = cause.covariates();
     if let Some(names) = covariates.first().and_then(|name| levels(campaign, name)) {
-        let at = |level: usize| Conditions::from([(covariates[0].to_owned(), Setting::Level(level))]);
+        let at =
+            |level: usize| Conditions::from([(covariates[0].to_owned(), Setting::Level(level))]);
         let pairs = (0..names.len()).flat_map(|a| (a + 1..names.len()).map(move |b| (a, b)));
-        return pairs.map(|(a, b)| (format!("from {} to {}", names[a], names[b]), [at(a), at(b)])).collect();
+        return pairs
+            .map(|(a, b)| (format!("from {} to {}", names[a], names[b]), [at(a), at(b)]))
+            .collect();
     }
     let at = |share: f64| -> Conditions {
-        let value = |name: &&str| Some(((*name).to_owned(), Setting::Number(percentile(campaign, name, share)?)));
+        let value = |name: &&str| {
+            Some(((*name).to_owned(), Setting::Number(percentile(campaign, name, share)?)))
+        };
         covariates.iter().filter_map(value).collect()
     };
     let words = |name: &&str| {
@@ -143,7 +166,11 @@ fn spans(campaign: &Campaign, cause: &Cause, shares: [f64; 2]) -> Vec<(String, [
 pub(super) fn rounded(value: f64) -> String {
     let digits = (2.0 - value.abs().max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
     let text = format!("{value:.digits$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
 }
 
 /// What a column holds, worded for the middle of a sentence, and its unit with a leading space.
@@ -157,15 +184,16 @@ pub(super) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
     let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0);
     let powders = campaign.powders.len();
     // Covariates with too many names to be judged have no course either.
-    let few = |it: &&Covariate| levels(campaign, &it.name).is_none_or(|names| names.len() <= LEVELS_MAX);
+    let few =
+        |it: &&Covariate| levels(campaign, &it.name).is_none_or(|names| names.len() <= LEVELS_MAX);
     let covariates: Vec<&Covariate> = campaign.covariates.iter().filter(few).collect();
     let places = |covariate: &str| -> Vec<f64> {
         match levels(campaign, covariate) {
             Some(names) => (0..names.len()).map(|level| level as f64).collect(),
             None => match [0.0, 1.0].map(|share| percentile(campaign, covariate, share)) {
-                [Some(low), Some(high)] => {
-                    (0..PLACES).map(|k| low + (high - low) * k as f64 / (PLACES - 1) as f64).collect()
-                }
+                [Some(low), Some(high)] => (0..PLACES)
+                    .map(|k| low + (high - low) * k as f64 / (PLACES - 1) as f64)
+                    .collect(),
                 _ => Vec::new(),
             },
         }
@@ -192,7 +220,8 @@ pub(super) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
         let mut course = Vec::new();
         for place in places(&covariate.name) {
             let of_place = next..next + powders;
-            let mean = |of: &dyn Fn(usize) -> f64| of_place.clone().map(of).sum::<f64>() / powders as f64;
+            let mean =
+                |of: &dyn Fn(usize) -> f64| of_place.clone().map(of).sum::<f64>() / powders as f64;
             course.push([place, mean(&|i| shifts[i]), BAND * mean(&|i| predicted[i][1].sd_deg)]);
             next += powders;
         }

@@ -59,7 +59,8 @@ pub(super) fn experiment(
     let powders = responding(campaign, &posterior);
     let mut ends: Vec<Ends> = Vec::new();
     for name in causes.iter().flat_map(|cause| cause.covariates()) {
-        if let (false, Some(of)) = (ends.iter().any(|it| it.0 == name), settings_of(campaign, name)) {
+        if let (false, Some(of)) = (ends.iter().any(|it| it.0 == name), settings_of(campaign, name))
+        {
             ends.push((name.to_owned(), of));
         }
     }
@@ -70,15 +71,18 @@ pub(super) fn experiment(
     }
     // The effect of each cause on the runs of every candidate.
     let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0) + 1;
-    let planned = |design: &Vec<&Ends>, count| runs(campaign, design, &ends, &powders, count, settings.seed);
+    let planned =
+        |design: &Vec<&Ends>, count| runs(campaign, design, &ends, &powders, count, settings.seed);
     let candidates: Vec<Vec<Vec<Planned>>> =
         designs.iter().map(|design| RUNS.map(|count| planned(design, count)).to_vec()).collect();
-    let asked: Vec<_> = candidates.iter().flatten().flatten().map(|(p, c)| (*p, c.clone(), None)).collect();
+    let asked: Vec<_> =
+        candidates.iter().flatten().flatten().map(|(p, c)| (*p, c.clone(), None)).collect();
     let (unseen, first) = extended(campaign, session, &asked);
     let prepared = Prepared::new(&unseen, responses)?;
     let predicted = Posterior::new(&prepared);
     let shifts: Vec<Vec<f64>> = causes.iter().map(|cause| predicted.shifts_by(cause)).collect();
-    let now: Vec<f64> = causes.iter().map(|cause| predicted.inclusion_of(cause).max(0.05)).collect();
+    let now: Vec<f64> =
+        causes.iter().map(|cause| predicted.inclusion_of(cause).max(0.05)).collect();
     let game = Game { campaign, responses, prepared: &prepared, causes, now, session };
     let mut best: Option<(f64, Experiment)> = None;
     let mut first = first;
@@ -128,7 +132,12 @@ fn designs(ends: &[Ends]) -> Vec<Vec<&Ends>> {
 /// Runs needed to show a difference of this many degrees between low and high of the covariate a
 /// cause acts through, in four of five cases at 5 %: `N = (2 (1.96 + 0.84) s / difference)^2` for
 /// two groups of N / 2 with SD s.
-pub(super) fn settling(campaign: &Campaign, prepared: &Prepared, cause: &Cause, seed: u64) -> Option<Experiment> {
+pub(super) fn settling(
+    campaign: &Campaign,
+    prepared: &Prepared,
+    cause: &Cause,
+    seed: u64,
+) -> Option<Experiment> {
     let ends: Vec<Ends> = cause
         .covariates()
         .into_iter()
@@ -139,8 +148,9 @@ pub(super) fn settling(campaign: &Campaign, prepared: &Prepared, cause: &Cause, 
         return None;
     }
     let powders: Vec<usize> = (0..campaign.powders.len()).collect();
-    let needed =
-        (2.0 * (1.96 + 0.84) * prepared.repeat_sd_deg(&prepared.observed) / SETTLED_DEG).powi(2).ceil() as usize;
+    let needed = (2.0 * (1.96 + 0.84) * prepared.repeat_sd_deg(&prepared.observed) / SETTLED_DEG)
+        .powi(2)
+        .ceil() as usize;
     let cells = powders.len() << design.len();
     let count = needed.div_ceil(cells) * cells;
     let runs = runs(campaign, &design, &ends, &powders, count, seed);
@@ -148,7 +158,13 @@ pub(super) fn settling(campaign: &Campaign, prepared: &Prepared, cause: &Cause, 
     let what = format!("{what}, to show a difference of {SETTLED_DEG}°");
     let minutes = minutes(&runs);
     let runs = runs.iter().map(|run| written(campaign, run)).collect();
-    Some(Experiment { what, runs, minutes, chance_of_resolution: Some(0.8), expected_posterior: Some(CLAIM) })
+    Some(Experiment {
+        what,
+        runs,
+        minutes,
+        chance_of_resolution: Some(0.8),
+        expected_posterior: Some(CLAIM),
+    })
 }
 
 /// The powders that the found effect moves most.
@@ -171,10 +187,14 @@ const BEGINNINGS: [(&str, f64); 2] = [("rest_min", 1.0), ("container_age_d", 0.0
 /// two names.
 fn settings_of(campaign: &Campaign, covariate: &str) -> Option<[Setting; 2]> {
     match campaign.values(covariate)? {
-        Values::Levels { names, .. } => (names.len() > 1).then_some([Setting::Level(0), Setting::Level(1)]),
+        Values::Levels { names, .. } => {
+            (names.len() > 1).then_some([Setting::Level(0), Setting::Level(1)])
+        }
         Values::Numbers(_) => {
-            let [low, high] = [percentile(campaign, covariate, 0.02)?, percentile(campaign, covariate, 0.98)?];
-            let beginning = BEGINNINGS.iter().find(|it| it.0 == covariate).map_or(low, |it| it.1.min(low));
+            let [low, high] =
+                [percentile(campaign, covariate, 0.02)?, percentile(campaign, covariate, 0.98)?];
+            let beginning =
+                BEGINNINGS.iter().find(|it| it.0 == covariate).map_or(low, |it| it.1.min(low));
             Some([beginning, high].map(Setting::Number))
         }
     }
@@ -210,7 +230,9 @@ fn runs(
     runs.shuffle(&mut Pcg64::seed_from_u64(derive(seed, &[0x4558_5045])));
     if campaign.values("order_in_session").is_some() {
         for (k, (_, conditions)) in runs.iter_mut().enumerate() {
-            conditions.entry("order_in_session".to_owned()).or_insert(Setting::Number(k as f64 + 1.0));
+            conditions
+                .entry("order_in_session".to_owned())
+                .or_insert(Setting::Number(k as f64 + 1.0));
         }
     }
     runs
@@ -238,27 +260,38 @@ impl Game<'_> {
         let right_in = |play: usize| play % self.causes.len();
         let mut draw = |play: usize| -> Vec<f64> {
             let (day, size) = (DAY * repeat_deg * normal(), 1.0 + SIZE_SD * normal());
-            shifts[right_in(play)].iter().map(|shift| size * shift + day + repeat_deg * normal()).collect()
+            shifts[right_in(play)]
+                .iter()
+                .map(|shift| size * shift + day + repeat_deg * normal())
+                .collect()
         };
         let drawn: Vec<Vec<f64>> = (0..PLAYS).map(&mut draw).collect();
         let measured: Vec<_> = runs
             .iter()
             .zip(&drawn[0])
-            .map(|((powder, at), shift)| (*powder, at.clone(), Some(self.prepared.centres[*powder] + shift)))
+            .map(|((powder, at), shift)| {
+                (*powder, at.clone(), Some(self.prepared.centres[*powder] + shift))
+            })
             .collect();
         let (with_runs, _) = extended(self.campaign, self.session, &measured);
         let after = Prepared::new(&with_runs, self.responses)?;
-        let all = DMatrix::from_fn(old.len() + runs.len(), PLAYS, |i, k| match i.checked_sub(old.len()) {
-            None => old[i],
-            Some(new) => drawn[k][new],
+        let all = DMatrix::from_fn(old.len() + runs.len(), PLAYS, |i, k| {
+            match i.checked_sub(old.len()) {
+                None => old[i],
+                Some(new) => drawn[k][new],
+            }
         });
         let of = |cause: &&Cause| after.hypotheses.iter().find(|it| it.cause == **cause);
-        let Some(judged) = self.causes.iter().map(of).collect::<Option<Vec<_>>>() else { return Ok([0.0, 0.5]) };
+        let Some(judged) = self.causes.iter().map(of).collect::<Option<Vec<_>>>() else {
+            return Ok([0.0, 0.5]);
+        };
         let seen = after.seen(&all);
-        let odds: Vec<Vec<f64>> = judged.iter().map(|hypothesis| after.log_odds(hypothesis, &seen)).collect();
+        let odds: Vec<Vec<f64>> =
+            judged.iter().map(|hypothesis| after.log_odds(hypothesis, &seen)).collect();
         let (mut resolved, mut expected, mut total) = (0.0, 0.0, 0.0);
         for play in 0..PLAYS {
-            let log: Vec<f64> = odds.iter().zip(&judged).map(|(of, it)| of[play] + it.prior.ln()).collect();
+            let log: Vec<f64> =
+                odds.iter().zip(&judged).map(|(of, it)| of[play] + it.prior.ln()).collect();
             let right = right_in(play);
             let share = 1.0 / log.iter().map(|it| (it - log[right]).exp()).sum::<f64>();
             let weight = self.now[right];
@@ -273,11 +306,14 @@ impl Game<'_> {
 /// Minutes at the bench: the runs, the rests one after another, and half an hour for each humidity
 /// that a chamber has to reach.
 fn minutes(runs: &[Planned]) -> f64 {
-    let of = |name: &'static str| runs.iter().filter_map(move |(_, conditions)| conditions.get(name));
-    let number = |setting: &Setting| if let Setting::Number(value) = setting { *value } else { 0.0 };
+    let of =
+        |name: &'static str| runs.iter().filter_map(move |(_, conditions)| conditions.get(name));
+    let number =
+        |setting: &Setting| if let Setting::Number(value) = setting { *value } else { 0.0 };
     // Heaps rest side by side, so the longest rest counts.
     let rest = of("rest_min").map(number).fold(0.0, f64::max);
-    let mut humidities: Vec<u64> = of("relative_humidity_pct").map(|it| number(it).to_bits()).collect();
+    let mut humidities: Vec<u64> =
+        of("relative_humidity_pct").map(|it| number(it).to_bits()).collect();
     humidities.sort_unstable();
     humidities.dedup();
     let chamber = 30.0 * humidities.len().saturating_sub(1) as f64;
@@ -287,27 +323,48 @@ fn minutes(runs: &[Planned]) -> f64 {
 fn shown(campaign: &Campaign, covariate: &str, setting: Setting) -> String {
     match setting {
         Setting::Number(value) => super::effects::rounded(value),
-        Setting::Level(level) => levels(campaign, covariate).map_or(String::new(), |names| names[level].clone()),
+        Setting::Level(level) => {
+            levels(campaign, covariate).map_or(String::new(), |names| names[level].clone())
+        }
     }
 }
 
 fn written(campaign: &Campaign, (powder, conditions): &Planned) -> BTreeMap<String, String> {
-    let settings = conditions.iter().map(|(name, setting)| (name.clone(), shown(campaign, name, *setting)));
-    std::iter::once(("powder".to_owned(), campaign.powders[*powder].clone())).chain(settings).collect()
+    let settings =
+        conditions.iter().map(|(name, setting)| (name.clone(), shown(campaign, name, *setting)));
+    std::iter::once(("powder".to_owned(), campaign.powders[*powder].clone()))
+        .chain(settings)
+        .collect()
 }
 
-fn words(campaign: &Campaign, design: &[&Ends], all: &[Ends], powders: &[usize], count: usize) -> String {
+fn words(
+    campaign: &Campaign,
+    design: &[&Ends],
+    all: &[Ends],
+    powders: &[usize],
+    count: usize,
+) -> String {
     let at = |(name, ends): &Ends| {
         let (quantity, unit) = super::effects::quantity(name);
-        format!("{quantity} {} and {}{unit}", shown(campaign, name, ends[0]), shown(campaign, name, ends[1]))
+        format!(
+            "{quantity} {} and {}{unit}",
+            shown(campaign, name, ends[0]),
+            shown(campaign, name, ends[1])
+        )
     };
     let varied = design.iter().map(|it| at(it)).collect::<Vec<_>>().join(" by ");
-    let held = all.iter().filter(|it| !design.iter().any(|varied| varied.0 == it.0)).map(|(name, ends)| {
-        let (quantity, unit) = super::effects::quantity(name);
-        format!("{quantity} at {}{unit}", shown(campaign, name, ends[0]))
-    });
+    let held = all.iter().filter(|it| !design.iter().any(|varied| varied.0 == it.0)).map(
+        |(name, ends)| {
+            let (quantity, unit) = super::effects::quantity(name);
+            format!("{quantity} at {}{unit}", shown(campaign, name, ends[0]))
+        },
+    );
     let held = held.collect::<Vec<_>>().join(", ");
-    let names = powders.iter().map(|&powder| campaign.powders[powder].replace('_', " ")).collect::<Vec<_>>().join(", ");
+    let names = powders
+        .iter()
+        .map(|&powder| campaign.powders[powder].replace('_', " "))
+        .collect::<Vec<_>>()
+        .join(", ");
     let held = if held.is_empty() { String::new() } else { format!(", holding {held}") };
     format!("{count} runs of {names} in one session and in the order given: {varied}{held}")
 }

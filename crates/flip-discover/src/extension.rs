@@ -161,11 +161,16 @@ impl Extended {
     /// # Errors
     /// Every condition that is missing, outside the range the campaign saw, or that no cause acts
     /// through, as `conditions.<name>`.
-    pub fn at(&self, powder: Option<&str>, conditions: &Conditions) -> Result<Patch, Vec<FieldError>> {
+    pub fn at(
+        &self,
+        powder: Option<&str>,
+        conditions: &Conditions,
+    ) -> Result<Patch, Vec<FieldError>> {
         self.checked(conditions, |it| it.hook != Hook::Reading)?;
         let mut patch = Patch::default();
         for extension in &self.extensions {
-            let strength = extension.on(powder).1 * extension.strength_at(conditions).unwrap_or(0.0);
+            let strength =
+                extension.on(powder).1 * extension.strength_at(conditions).unwrap_or(0.0);
             let more = extension.patch(extension.amplitude.value * strength);
             let slots = [
                 (&mut patch.amplitudes, more.amplitudes),
@@ -184,7 +189,11 @@ impl Extended {
     ///
     /// # Errors
     /// As [`Self::at`].
-    pub fn shift_deg(&self, powder: Option<&str>, conditions: &Conditions) -> Result<f64, Vec<FieldError>> {
+    pub fn shift_deg(
+        &self,
+        powder: Option<&str>,
+        conditions: &Conditions,
+    ) -> Result<f64, Vec<FieldError>> {
         self.checked(conditions, |_| true)?;
         Ok(self.extensions.iter().map(|it| it.shift_deg(powder, conditions)).sum())
     }
@@ -194,12 +203,20 @@ impl Extended {
     ///
     /// # Errors
     /// As [`Self::at`], but nothing has to be held.
-    pub fn days(&self, held: &Conditions, count: usize, seed: u64) -> Result<Vec<Conditions>, Vec<FieldError>> {
+    pub fn days(
+        &self,
+        held: &Conditions,
+        count: usize,
+        seed: u64,
+    ) -> Result<Vec<Conditions>, Vec<FieldError>> {
         self.checked(held, |_| false)?;
         let mut days = vec![held.clone(); count];
-        for (k, through) in self.through().into_iter().filter(|it| !held.contains_key(&it.name)).enumerate() {
+        for (k, through) in
+            self.through().into_iter().filter(|it| !held.contains_key(&it.name)).enumerate()
+        {
             let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[k as u64]));
-            let mut shares: Vec<f64> = (0..count).map(|i| (i as f64 + rng.random::<f64>()) / count as f64).collect();
+            let mut shares: Vec<f64> =
+                (0..count).map(|i| (i as f64 + rng.random::<f64>()) / count as f64).collect();
             shares.shuffle(&mut rng);
             for (day, share) in days.iter_mut().zip(shares) {
                 day.insert(through.name.clone(), through.drawn(share));
@@ -219,26 +236,41 @@ impl Extended {
         all
     }
 
-    fn checked(&self, conditions: &Conditions, needed: impl Fn(&Extension) -> bool) -> Result<(), Vec<FieldError>> {
+    fn checked(
+        &self,
+        conditions: &Conditions,
+        needed: impl Fn(&Extension) -> bool,
+    ) -> Result<(), Vec<FieldError>> {
         let all = self.through();
         let field = |name: &str| format!("conditions.{name}");
         let names = || all.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ");
         let mut errors = Vec::new();
         for (name, condition) in conditions {
             match all.iter().find(|it| it.name == *name) {
-                Some(through) => errors.extend(through.refusal(condition).map(|why| FieldError::new(field(name), why))),
+                Some(through) => errors.extend(
+                    through.refusal(condition).map(|why| FieldError::new(field(name), why)),
+                ),
                 None => {
-                    let why = format!("does nothing in this version, which acts through {}: leave it out", names());
+                    let why = format!(
+                        "does nothing in this version, which acts through {}: leave it out",
+                        names()
+                    );
                     errors.push(FieldError::new(field(name), why));
                 }
             }
         }
         let is_needed = |name: &str| {
-            self.extensions.iter().any(|it| needed(it) && it.through.iter().any(|through| through.name == name))
+            self.extensions
+                .iter()
+                .any(|it| needed(it) && it.through.iter().any(|through| through.name == name))
         };
-        let missing = all.iter().filter(|it| !conditions.contains_key(&it.name) && is_needed(&it.name));
+        let missing =
+            all.iter().filter(|it| !conditions.contains_key(&it.name) && is_needed(&it.name));
         errors.extend(missing.map(|it| {
-            FieldError::new(field(&it.name), format!("is missing: the version acts through it; give {}", it.bounds()))
+            FieldError::new(
+                field(&it.name),
+                format!("is missing: the version acts through it; give {}", it.bounds()),
+            )
         }));
         if errors.is_empty() { Ok(()) } else { Err(errors) }
     }
@@ -275,7 +307,9 @@ impl Extension {
     /// u; `None` where a condition is missing or of the wrong kind.
     fn strength_at(&self, conditions: &Conditions) -> Option<f64> {
         let value = match &self.form {
-            Form::Levels(strengths) => *strengths.get(&conditions.get(&self.through.first()?.name)?.to_string())?,
+            Form::Levels(strengths) => {
+                *strengths.get(&conditions.get(&self.through.first()?.name)?.to_string())?
+            }
             form => {
                 let number = |it: &Through| match conditions.get(&it.name)? {
                     Condition::Number(number) => Some(*number),
@@ -314,7 +348,9 @@ impl Through {
     /// The valid values, in words.
     fn bounds(&self) -> String {
         match (self.quantiles.first(), self.quantiles.last()) {
-            (Some(low), Some(high)) => format!("a number from {low} to {high}, which is what the campaign saw"),
+            (Some(low), Some(high)) => {
+                format!("a number from {low} to {high}, which is what the campaign saw")
+            }
             _ => format!("one of {}", self.shares.keys().cloned().collect::<Vec<_>>().join(", ")),
         }
     }

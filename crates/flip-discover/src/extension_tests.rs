@@ -63,7 +63,8 @@ fn extended() -> Extended {
 
 fn day(humidity: f64, batch: &str) -> Conditions {
     let batch = Condition::Name(batch.into());
-    [("relative_humidity_pct".to_owned(), Condition::Number(humidity)), ("batch".to_owned(), batch)].into()
+    [("relative_humidity_pct".to_owned(), Condition::Number(humidity)), ("batch".to_owned(), batch)]
+        .into()
 }
 
 #[test]
@@ -72,9 +73,15 @@ fn the_reference_is_the_base_and_strengths_grow_from_it() {
     assert!(extended.at(Some("salt"), &day(40.0, "A")).unwrap().is_none());
     let patch = extended.at(None, &day(50.0, "B")).unwrap();
     // (0.25 - 0.16) / 0.25 of 0.2, and all of 0.05.
-    assert!((patch.amplitudes["humidity"] - 0.072).abs() < 1e-12 && patch.amplitudes["size_spread"] == 0.05);
+    assert!(
+        (patch.amplitudes["humidity"] - 0.072).abs() < 1e-12
+            && patch.amplitudes["size_spread"] == 0.05
+    );
     let salt = extended.at(Some("salt"), &day(50.0, "A")).unwrap();
-    assert!((salt.amplitudes["humidity"] - 0.144).abs() < 1e-12 && !salt.amplitudes.contains_key("size_spread"));
+    assert!(
+        (salt.amplitudes["humidity"] - 0.144).abs() < 1e-12
+            && !salt.amplitudes.contains_key("size_spread")
+    );
     // Beyond the 95th percentile it continues as far as the campaign's range.
     assert!(extended.at(None, &day(70.0, "A")).unwrap().amplitudes["humidity"] > 0.2);
 }
@@ -102,9 +109,15 @@ fn conditions_that_nobody_saw_are_refused_with_what_may_be_asked_for() {
     };
     let outside = refused(&day(71.0, "C"));
     assert!(outside[0].starts_with("conditions.batch: must be one of A, B, got C"), "{outside:?}");
-    assert!(outside[1].contains("conditions.relative_humidity_pct: must be a number from 40 to 70"), "{outside:?}");
+    assert!(
+        outside[1].contains("conditions.relative_humidity_pct: must be a number from 40 to 70"),
+        "{outside:?}"
+    );
     let missing = refused(&Conditions::new());
-    assert!(missing.len() == 2 && missing[0].contains("conditions.relative_humidity_pct: is missing"), "{missing:?}");
+    assert!(
+        missing.len() == 2 && missing[0].contains("conditions.relative_humidity_pct: is missing"),
+        "{missing:?}"
+    );
     let mut stray = day(50.0, "A");
     stray.insert("lamp_nm".into(), Condition::Number(500.0));
     assert!(refused(&stray)[0].contains("conditions.lamp_nm: does nothing in this version"));
@@ -125,7 +138,9 @@ fn days_are_as_the_campaign_saw_them_and_what_is_held_stays() {
     };
     let below = |value: f64| days.iter().filter(|day| humidity(day) < value).count();
     // Evenly over the quantiles: one of forty may lie on either side of a bound.
-    assert!((12..=14).contains(&below(50.0)) && (26..=27).contains(&below(60.0)) && below(70.0) == 40);
+    assert!(
+        (12..=14).contains(&below(50.0)) && (26..=27).contains(&below(60.0)) && below(70.0) == 40
+    );
     let of_b = days.iter().filter(|day| day["batch"] == Condition::Name("B".into())).count();
     assert_eq!(of_b, 10);
     let held = [("relative_humidity_pct".to_owned(), Condition::Number(55.0))].into();
@@ -137,7 +152,9 @@ fn days_are_as_the_campaign_saw_them_and_what_is_held_stays() {
 #[test]
 fn a_course_is_linear_between_its_places_and_flat_beyond() {
     let course = [[0.0, 1.0], [10.0, 3.0], [20.0, 0.0]];
-    for (at, expected) in [(-1.0, 1.0), (0.0, 1.0), (5.0, 2.0), (10.0, 3.0), (15.0, 1.5), (30.0, 0.0)] {
+    for (at, expected) in
+        [(-1.0, 1.0), (0.0, 1.0), (5.0, 2.0), (10.0, 3.0), (15.0, 1.5), (30.0, 0.0)]
+    {
         assert_eq!(along(&course, at), Some(expected), "{at}");
     }
 }
@@ -150,7 +167,8 @@ fn campaign(covariate: &str) -> Campaign {
     let runs: Vec<Run> = (0..180)
         .map(|k| {
             let (session, powder) = (k / 3, k % 3);
-            let angle = 30.0 + 5.0 * powder as f64 + 4.0 * (value(session) - 30.0) / 40.0 + 0.4 * noise(k);
+            let angle =
+                30.0 + 5.0 * powder as f64 + 4.0 * (value(session) - 30.0) / 40.0 + 0.4 * noise(k);
             Run { row: k as u32 + 2, powder, session, repose_deg: Some(angle) }
         })
         .collect();
@@ -166,7 +184,10 @@ fn campaign(covariate: &str) -> Campaign {
 fn extended_by(campaign: &Campaign) -> Extended {
     let settings = Settings { seed: 1, simulations: 99 };
     let responses = responses(campaign);
-    let report = investigate(Some(campaign), None, "base", &settings, |_| ControlFlow::Continue(())).unwrap().unwrap();
+    let report =
+        investigate(Some(campaign), None, "base", &settings, |_| ControlFlow::Continue(()))
+            .unwrap()
+            .unwrap();
     extend(campaign, &responses, &report)
         .unwrap()
         .unwrap_or_else(|| panic!("{:?}: {}", report.verdict, report.sentence))
@@ -176,15 +197,25 @@ fn extended_by(campaign: &Campaign) -> Extended {
 fn humidity_becomes_bridges_that_are_dry_at_the_driest_day() {
     let extended = extended_by(&campaign("relative_humidity_pct"));
     let [humidity] = &extended.extensions[..] else { panic!("{extended:?}") };
-    assert_eq!((humidity.mechanism.as_str(), &humidity.hook), ("humidity", &Hook::Extension("humidity".into())));
+    assert_eq!(
+        (humidity.mechanism.as_str(), &humidity.hook),
+        ("humidity", &Hook::Extension("humidity".into()))
+    );
     assert_eq!(humidity.through[0].reference, Condition::Number(30.0));
     // From the 5th to the 95th percentile is nine tenths of 4 deg.
-    assert!((humidity.effect_deg - 3.6).abs() < 0.5 && humidity.effect_ci95[0] < 3.6 && humidity.effect_ci95[1] > 3.6);
+    assert!(
+        (humidity.effect_deg - 3.6).abs() < 0.5
+            && humidity.effect_ci95[0] < 3.6
+            && humidity.effect_ci95[1] > 3.6
+    );
     // The table has 9.1 deg at 0.3.
     assert!((humidity.amplitude.value - 0.3 * humidity.effect_deg / 9.1).abs() < 1e-9);
     let at = |powder: &str, value: f64| {
         let conditions = [("relative_humidity_pct".to_owned(), Condition::Number(value))].into();
-        (extended.at(Some(powder), &conditions).unwrap(), extended.shift_deg(Some(powder), &conditions).unwrap())
+        (
+            extended.at(Some(powder), &conditions).unwrap(),
+            extended.shift_deg(Some(powder), &conditions).unwrap(),
+        )
     };
     assert!(at("sand", 30.0).0.is_none() && at("sand", 30.0).1 == 0.0);
     assert!(at("sand", 70.0).0.amplitudes["humidity"] > at("sand", 50.0).0.amplitudes["humidity"]);
@@ -197,9 +228,17 @@ fn humidity_becomes_bridges_that_are_dry_at_the_driest_day() {
 fn what_has_no_mechanism_becomes_a_law_on_cohesion() {
     let extended = extended_by(&campaign("lamp_pct"));
     let [law] = &extended.extensions[..] else { panic!("{extended:?}") };
-    assert_eq!((law.mechanism.as_str(), &law.hook), ("unknown: lamp_pct", &Hook::Parameter("cohesion".into())));
+    assert_eq!(
+        (law.mechanism.as_str(), &law.hook),
+        ("unknown: lamp_pct", &Hook::Parameter("cohesion".into()))
+    );
     let Form::Course(course) = &law.form else { panic!("{:?}", law.form) };
-    assert!(course.len() == 21 && course[0][1] == 0.0 && (course[20][1] - 1.0).abs() < 1e-9, "{course:?}");
-    let at = |value: f64| extended.at(None, &[("lamp_pct".to_owned(), Condition::Number(value))].into()).unwrap();
+    assert!(
+        course.len() == 21 && course[0][1] == 0.0 && (course[20][1] - 1.0).abs() < 1e-9,
+        "{course:?}"
+    );
+    let at = |value: f64| {
+        extended.at(None, &[("lamp_pct".to_owned(), Condition::Number(value))].into()).unwrap()
+    };
     assert!(at(30.0).is_none() && at(70.0).parameters["cohesion"] > 0.2);
 }

@@ -63,14 +63,16 @@ pub fn fit(
     let effects: Vec<f64> = stands.iter().map(|it| it.1.effect_deg).collect();
     let effect = mean(&effects)?;
     let heaps = |amplitude: f64, stage: u64| -> Option<Vec<Vec<f64>>> {
-        let of: Vec<(usize, usize)> = (0..stands.len()).flat_map(|k| (0..repeats).map(move |r| (k, r))).collect();
+        let of: Vec<(usize, usize)> =
+            (0..stands.len()).flat_map(|k| (0..repeats).map(move |r| (k, r))).collect();
         let angle = |&(k, r): &(usize, usize)| {
             let (set, on) = stands[k];
             let patch = extension.patch(amplitude * on.factor);
             Some((k, pour(set, &patch, derive(seed, &[stage, k as u64, r as u64]))?))
         };
         let angles: Vec<(usize, f64)> = of.par_iter().filter_map(angle).collect();
-        let by_powder = (0..stands.len()).map(|k| angles.iter().filter(|it| it.0 == k).map(|it| it.1).collect());
+        let by_powder = (0..stands.len())
+            .map(|k| angles.iter().filter(|it| it.0 == k).map(|it| it.1).collect());
         let by_powder: Vec<Vec<f64>> = by_powder.collect();
         by_powder.iter().all(|angles| !angles.is_empty()).then_some(by_powder)
     };
@@ -89,7 +91,8 @@ pub fn fit(
     let verifying = heaps(value, VERIFICATION)?;
     let variance = variance(&[&reference, &at_first, &at_second, &fresh, &verifying]);
     let error = |a: &[Vec<f64>], b: &[Vec<f64>]| {
-        let of = |angles: &[Vec<f64>]| angles.iter().map(|it| variance / it.len() as f64).sum::<f64>();
+        let of =
+            |angles: &[Vec<f64>]| angles.iter().map(|it| variance / it.len() as f64).sum::<f64>();
         (of(a) + of(b)).sqrt() / stands.len() as f64
     };
     let errors = [error(&at_first, &reference), error(&at_second, &reference)];
@@ -101,10 +104,15 @@ pub fn fit(
     let verified = (accepted[0]..=accepted[1]).contains(&found) && found * effect > 0.0;
     // Independent errors: that of the effect and that of the slope.
     let of_effect = (interval[1] - interval[0]) / (2.0 * DEVIATE) / effect;
-    let of_slope = (first * errors[0]).hypot(second * errors[1]) / (first * first + second * second) / slope;
+    let of_slope =
+        (first * errors[0]).hypot(second * errors[1]) / (first * first + second * second) / slope;
     let half = DEVIATE * of_effect.hypot(of_slope) * value.abs();
     let floor = if matches!(extension.hook, Hook::Extension(_)) { 0.0 } else { f64::NEG_INFINITY };
-    let ci95 = if is_responding { [(value - half).max(floor), value + half] } else { extension.amplitude.ci95 };
+    let ci95 = if is_responding {
+        [(value - half).max(floor), value + half]
+    } else {
+        extension.amplitude.ci95
+    };
     let fit = Fit {
         sets: stands.iter().map(|it| sets[it.0].clone()).collect(),
         runs: (STAGES * stands.len() * repeats) as u32,
@@ -154,14 +162,23 @@ mod tests {
             strength: [0.0, 1.0],
             effect_deg,
             effect_ci95: [0.6 * effect_deg, 1.4 * effect_deg],
-            amplitude: ParameterReport { name: "humidity".into(), value: 0.1, ci95: [0.05, 0.15], unit: "1".into() },
+            amplitude: ParameterReport {
+                name: "humidity".into(),
+                value: 0.1,
+                ci95: [0.05, 0.15],
+                unit: "1".into(),
+            },
             powders: vec![on("sand", 0.5, 0.5), on("salt", 1.5, 1.5), on("flour", 0.0, 0.0)],
             fit: None,
         }
     }
 
     fn sets() -> Vec<FitSet> {
-        let set = |powder: &str| FitSet { powder: powder.into(), set: "ps-0".into(), source: "its calibration".into() };
+        let set = |powder: &str| FitSet {
+            powder: powder.into(),
+            set: "ps-0".into(),
+            source: "its calibration".into(),
+        };
         ["flour", "salt", "sand"].map(set).to_vec()
     }
 
@@ -184,19 +201,29 @@ mod tests {
         let (amplitude, fit) = super::fit(&extension(3.0), &sets(), 55, 1, counted).unwrap();
         // 3 deg at 20 deg per unit amplitude, via a first guess of 0.1 that moves by 2 deg.
         assert!((amplitude.value - 0.15).abs() < 0.03, "{amplitude:?}");
-        assert!(amplitude.ci95[0] < 0.15 && amplitude.ci95[1] > 0.15 && amplitude.ci95[0] > 0.0, "{amplitude:?}");
+        assert!(
+            amplitude.ci95[0] < 0.15 && amplitude.ci95[1] > 0.15 && amplitude.ci95[0] > 0.0,
+            "{amplitude:?}"
+        );
         assert!(fit.verified && (fit.verification[0] - 3.0).abs() < 1.0, "{fit:?}");
         // Five heaps of two powders each: 50 of 55; flour does not respond and has none.
         assert_eq!((fit.runs, count.into_inner()), (50, 50));
-        assert_eq!(fit.sets.iter().map(|it| it.powder.as_str()).collect::<Vec<_>>(), ["salt", "sand"]);
+        assert_eq!(
+            fit.sets.iter().map(|it| it.powder.as_str()).collect::<Vec<_>>(),
+            ["salt", "sand"]
+        );
     }
 
     #[test]
     fn heaps_that_do_not_move_or_the_other_way_verify_nothing() {
         for slope in [0.0, -20.0] {
-            let (amplitude, fit) = super::fit(&extension(3.0), &sets(), 60, 1, heap(slope)).unwrap();
+            let (amplitude, fit) =
+                super::fit(&extension(3.0), &sets(), 60, 1, heap(slope)).unwrap();
             assert!(!fit.verified, "{slope}: {fit:?}");
-            assert!(amplitude.value.is_finite() && amplitude.ci95.iter().all(|end| end.is_finite()), "{amplitude:?}");
+            assert!(
+                amplitude.value.is_finite() && amplitude.ci95.iter().all(|end| end.is_finite()),
+                "{amplitude:?}"
+            );
         }
     }
 
@@ -204,7 +231,9 @@ mod tests {
     fn the_budget_is_never_passed_and_the_same_seed_finds_the_same() {
         for budget in 0..40 {
             match super::fit(&extension(3.0), &sets(), budget, 1, heap(20.0)) {
-                Some((_, fit)) => assert!(fit.runs <= budget && budget >= 5, "{budget}: {}", fit.runs),
+                Some((_, fit)) => {
+                    assert!(fit.runs <= budget && budget >= 5, "{budget}: {}", fit.runs)
+                }
                 None => assert!(budget < 5, "{budget}"),
             }
         }

@@ -11,7 +11,12 @@ pub(super) fn flow_times(campaign: &Campaign) -> Option<Result<Campaign, FieldEr
     campaign.flow_time_s.iter().any(Option::is_some).then(|| {
         let runs = campaign.runs.iter().zip(&campaign.flow_time_s);
         let runs = runs.map(|(run, time)| Run { repose_deg: time.map(percent), ..*run }).collect();
-        let flow = Campaign { runs, flow_time_s: Vec::new(), quantity: Quantity::FlowTime, ..campaign.clone() };
+        let flow = Campaign {
+            runs,
+            flow_time_s: Vec::new(),
+            quantity: Quantity::FlowTime,
+            ..campaign.clone()
+        };
         flow.checked().map_err(|error| FieldError::new("flow_time_s", error.message))
     })
 }
@@ -47,24 +52,40 @@ mod tests {
         let values = Values::Numbers(runs.iter().map(|run| Some(humidity[run.session])).collect());
         let covariates = vec![Covariate { name: "relative_humidity_pct".to_owned(), values }];
         let powders = ["sand", "sugar", "salt"].map(str::to_owned).to_vec();
-        Campaign { powders, runs, covariates, flow_time_s, ..Campaign::default() }.checked().unwrap()
+        Campaign { powders, runs, covariates, flow_time_s, ..Campaign::default() }
+            .checked()
+            .unwrap()
     }
 
     #[test]
     fn humid_air_that_slows_the_flow_is_found_where_angles_say_nothing() {
         let slower = |humidity: f64| 0.2 * (humidity - 25.0) / 45.0;
-        let document = investigate(Some(&campaign(1, slower)), None, "base", &SETTINGS, |_| ControlFlow::Continue(()));
+        let document = investigate(Some(&campaign(1, slower)), None, "base", &SETTINGS, |_| {
+            ControlFlow::Continue(())
+        });
         let document = document.unwrap().unwrap();
         let [finding] = &document.findings[..] else { panic!("{document:?}") };
-        assert_eq!((finding.channel, finding.unit.as_str()), (Channel::FlowTime, "%"), "{}", document.sentence);
+        assert_eq!(
+            (finding.channel, finding.unit.as_str()),
+            (Channel::FlowTime, "%"),
+            "{}",
+            document.sentence
+        );
         // From the 5th to the 95th percentile, 27 to 67 %, flow takes exp(0.2 * 40 / 45) = 1.19
         // times as long.
-        assert!(finding.ci95[0] < 19.0 && 19.0 < finding.ci95[1] && finding.ci95[0] > 5.0, "{finding:?}");
+        assert!(
+            finding.ci95[0] < 19.0 && 19.0 < finding.ci95[1] && finding.ci95[0] > 5.0,
+            "{finding:?}"
+        );
         let flow = document.beside.iter().find(|it| it.channel == Channel::FlowTime).unwrap();
         assert_eq!(flow.n, 109, "the runs that have a time");
         assert!(flow.verdict != Verdict::NoDiscrepancy && document.verdict == flow.verdict);
         assert!(document.sentence.contains("flow"), "{}", document.sentence);
-        assert!(document.p_value <= 0.05 && document.gain.is_none() && document.simulator_version.extended.is_none());
+        assert!(
+            document.p_value <= 0.05
+                && document.gain.is_none()
+                && document.simulator_version.extended.is_none()
+        );
     }
 
     #[test]

@@ -49,7 +49,8 @@ pub(super) fn gain(
     settings: &Settings,
     mut on_fold: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Result<Option<Gain>, Stopped> {
-    let mut sessions: Vec<usize> = campaign.measured().iter().map(|&i| campaign.runs[i].session).collect();
+    let mut sessions: Vec<usize> =
+        campaign.measured().iter().map(|&i| campaign.runs[i].session).collect();
     sessions.sort_unstable();
     sessions.dedup();
     if sessions.len() < SESSIONS_MIN {
@@ -57,10 +58,13 @@ pub(super) fn gain(
     }
     let folds = FOLDS.min(sessions.len());
     let fold_of = |session: usize| sessions.binary_search(&session).unwrap_or(0) % folds;
-    let of_days = (0..folds).map(|fold| rows(campaign, |i| fold_of(campaign.runs[i].session) == fold));
-    let of_powders = (0..campaign.powders.len()).map(|powder| rows(campaign, |i| campaign.runs[i].powder == powder));
-    let ends =
-        covariate.and_then(|name| Some((name, percentile(campaign, name, 0.2)?, percentile(campaign, name, 0.8)?)));
+    let of_days =
+        (0..folds).map(|fold| rows(campaign, |i| fold_of(campaign.runs[i].session) == fold));
+    let of_powders = (0..campaign.powders.len())
+        .map(|powder| rows(campaign, |i| campaign.runs[i].powder == powder));
+    let ends = covariate.and_then(|name| {
+        Some((name, percentile(campaign, name, 0.2)?, percentile(campaign, name, 0.8)?))
+    });
     let of_range: Vec<Vec<usize>> = ends.map_or(Vec::new(), |(name, low, high)| {
         let values = campaign.numbers(name).unwrap_or_default();
         let ends = [rows(campaign, |i| values[i] < low), rows(campaign, |i| values[i] > high)];
@@ -69,13 +73,18 @@ pub(super) fn gain(
     });
     let all = folds + campaign.powders.len() + of_range.len();
     let mut done = 0;
-    let mut next = |hidden: Vec<usize>, centred: bool, scored: &mut Vec<Hidden>| -> Result<bool, Stopped> {
-        let Ok(of_fold) = fold(campaign, responses, &hidden, centred, settings) else { return Ok(false) };
-        // A powder that is hidden completely has no angle, only its course.
-        scored.extend(of_fold.into_iter().filter(|it| it.errors.iter().all(|error| error.is_finite())));
-        done += 1;
-        if on_fold(f64::from(done) / all as f64).is_break() { Err(Stopped) } else { Ok(true) }
-    };
+    let mut next =
+        |hidden: Vec<usize>, centred: bool, scored: &mut Vec<Hidden>| -> Result<bool, Stopped> {
+            let Ok(of_fold) = fold(campaign, responses, &hidden, centred, settings) else {
+                return Ok(false);
+            };
+            // A powder that is hidden completely has no angle, only its course.
+            scored.extend(
+                of_fold.into_iter().filter(|it| it.errors.iter().all(|error| error.is_finite())),
+            );
+            done += 1;
+            if on_fold(f64::from(done) / all as f64).is_break() { Err(Stopped) } else { Ok(true) }
+        };
     let (mut days, mut powders, mut range) = (Vec::new(), Vec::new(), Vec::new());
     for hidden in of_days {
         if !next(hidden, false, &mut days)? {
@@ -126,7 +135,8 @@ fn fold(
 ) -> Result<Vec<Hidden>, FieldError> {
     let rest = campaign.without(hidden).checked()?;
     let prepared = Prepared::new(&rest, responses)?;
-    let settings = Settings { simulations: SIMULATIONS, seed: derive(settings.seed, &[hidden[0] as u64]) };
+    let settings =
+        Settings { simulations: SIMULATIONS, seed: derive(settings.seed, &[hidden[0] as u64]) };
     let never = |_: f64| ControlFlow::Continue(());
     let posterior = Posterior::new(&prepared);
     let shifts = posterior.shifts();
@@ -134,7 +144,9 @@ fn fold(
     let is_found = screening.is_some_and(|it| it.p_value <= SIGNIFICANCE);
     let predicted = posterior.predict(&rest);
     let angle = |i: usize| campaign.runs[i].repose_deg.unwrap_or(f64::NAN);
-    let mean = |of: &dyn Fn(usize) -> f64| hidden.iter().map(|&i| of(i)).sum::<f64>() / hidden.len() as f64;
+    let mean = |of: &dyn Fn(usize) -> f64| {
+        hidden.iter().map(|&i| of(i)).sum::<f64>() / hidden.len() as f64
+    };
     let (mean_angle, mean_shift) = (mean(&angle), mean(&|i| shifts[i]));
     let score = |&i: &usize| {
         let [before, after] = predicted[i];
@@ -166,8 +178,12 @@ fn held_out(scored: &[Hidden], quantity: Quantity, seed: u64) -> HeldOut {
 }
 
 fn log_score(scored: &[Hidden], seed: u64) -> LogScore {
-    let score = |it: &Hidden, k: usize| (normal::pdf(it.errors[k] / it.sds[k]) / it.sds[k]).max(1e-300).ln();
-    let mean = |of: &[&Hidden], k: usize| of.iter().map(|it| score(it, k)).sum::<f64>() / of.len().max(1) as f64;
+    let score = |it: &Hidden, k: usize| {
+        (normal::pdf(it.errors[k] / it.sds[k]) / it.sds[k]).max(1e-300).ln()
+    };
+    let mean = |of: &[&Hidden], k: usize| {
+        of.iter().map(|it| score(it, k)).sum::<f64>() / of.len().max(1) as f64
+    };
     let all: Vec<&Hidden> = scored.iter().collect();
     let ci95 = resampled(scored, seed, |of| mean(of, 1) - mean(of, 0));
     LogScore { before: mean(&all, 0), after: mean(&all, 1), ci95 }
@@ -175,14 +191,16 @@ fn log_score(scored: &[Hidden], seed: u64) -> LogScore {
 
 /// 95 % interval of a statistic over resamples of whole sessions.
 fn resampled(scored: &[Hidden], seed: u64, statistic: impl Fn(&[&Hidden]) -> f64) -> [f64; 2] {
-    let mut days: std::collections::BTreeMap<usize, Vec<&Hidden>> = std::collections::BTreeMap::new();
+    let mut days: std::collections::BTreeMap<usize, Vec<&Hidden>> =
+        std::collections::BTreeMap::new();
     scored.iter().for_each(|it| days.entry(it.session).or_default().push(it));
     let days: Vec<Vec<&Hidden>> = days.into_values().collect();
     let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x4845_4c44]));
     let mut draws: Vec<f64> = (0..RESAMPLES)
         .map(|_| {
-            let drawn: Vec<&Hidden> =
-                (0..days.len()).flat_map(|_| days[rng.random_range(0..days.len())].iter().copied()).collect();
+            let drawn: Vec<&Hidden> = (0..days.len())
+                .flat_map(|_| days[rng.random_range(0..days.len())].iter().copied())
+                .collect();
             statistic(&drawn)
         })
         .collect();

@@ -78,12 +78,18 @@ impl Hypothesis {
     /// A cause with these courses, every powder its own deviation. The simulator's responses count
     /// where powders hardly deviate: powders of one angle differ by as much as the effect, so where
     /// they deviate they do so from one another.
-    pub fn of(cause: Cause, courses: &[(String, Course)], powder: &[usize], response: Option<&[f64]>) -> Self {
+    pub fn of(
+        cause: Cause,
+        courses: &[(String, Course)],
+        powder: &[usize],
+        response: Option<&[f64]>,
+    ) -> Self {
         let each = || courses.iter().flat_map(|it| DEVIATIONS.map(|deviation| (it, deviation)));
-        let features = each().map(|((_, course), deviation)| match response.filter(|_| deviation < 1.0) {
-            Some(response) => course.scaled(response, powder).with_powders(powder, deviation),
-            None => course.with_powders(powder, deviation),
-        });
+        let features =
+            each().map(|((_, course), deviation)| match response.filter(|_| deviation < 1.0) {
+                Some(response) => course.scaled(response, powder).with_powders(powder, deviation),
+                None => course.with_powders(powder, deviation),
+            });
         let features = features.collect();
         let laws = each().map(|((law, _), _)| law.clone()).collect();
         Self { cause, features, laws, sign: None, prior: 1.0 }
@@ -97,14 +103,19 @@ impl Hypothesis {
 }
 
 /// Which hypotheses can be judged, and which cannot.
-pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hypothesis>, Vec<Untestable>) {
+pub(super) fn hypotheses(
+    campaign: &Campaign,
+    responses: &Responses,
+) -> (Vec<Hypothesis>, Vec<Untestable>) {
     let powder = campaign.powder_of();
     let hypothesis = |cause: Cause, courses: Vec<(String, Course)>, prior: f64| Hypothesis {
         prior,
         ..Hypothesis::of(cause, &courses, &powder, None)
     };
     let (mut judged, mut untestable) = (Vec::new(), Vec::new());
-    for mechanism in Mechanism::ALL.into_iter().filter(|mechanism| mechanism.moves(campaign.quantity)) {
+    for mechanism in
+        Mechanism::ALL.into_iter().filter(|mechanism| mechanism.moves(campaign.quantity))
+    {
         match mechanism.courses(campaign) {
             Ok(courses) => {
                 let response = responses.get(&mechanism).map(Vec::as_slice);
@@ -119,13 +130,19 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
     for covariate in &campaign.covariates {
         let name = &covariate.name;
         let courses = match &covariate.values {
-            Values::Numbers(_) => campaign.numbers(name).map_or(Vec::new(), |values| smooth(&values, campaign)),
+            Values::Numbers(_) => {
+                campaign.numbers(name).map_or(Vec::new(), |values| smooth(&values, campaign))
+            }
             // A mechanism on levels already has one free coefficient per level.
             Values::Levels { .. } if is_catalogued(name) => Vec::new(),
             Values::Levels { .. } => {
                 let levels = campaign.levels(name).ok();
-                let course = levels.and_then(|(level, count)| Course::of_levels(&level, count, campaign));
-                course.map(|course| (format!("one number for each {name}"), course)).into_iter().collect()
+                let course =
+                    levels.and_then(|(level, count)| Course::of_levels(&level, count, campaign));
+                course
+                    .map(|course| (format!("one number for each {name}"), course))
+                    .into_iter()
+                    .collect()
             }
         };
         if !courses.is_empty() {
@@ -145,7 +162,9 @@ pub(super) fn hypotheses(campaign: &Campaign, responses: &Responses) -> (Vec<Hyp
 }
 
 fn smooth(values: &[f64], campaign: &Campaign) -> Vec<(String, Course)> {
-    let course = |&length: &f64| Some(("a smooth course".to_owned(), Course::smooth(values, length, campaign)?));
+    let course = |&length: &f64| {
+        Some(("a smooth course".to_owned(), Course::smooth(values, length, campaign)?))
+    };
     SMOOTH_LENGTHS.iter().filter_map(course).collect()
 }
 

@@ -12,8 +12,8 @@ use super::hypothesis::{Cause, Responses};
 use super::law::law;
 use super::posterior::Posterior;
 use super::report::{
-    CauseReport, Curve, Evidence, Finding, FormClass, Gain, NullCheck, ParameterReport, Report, Row, Unexplained,
-    UntestableReport, Verdict,
+    CauseReport, Curve, Evidence, Finding, FormClass, Gain, NullCheck, ParameterReport, Report,
+    Row, Unexplained, UntestableReport, Verdict,
 };
 use super::response::amplitude;
 use super::scatter::{scatters, simulated};
@@ -57,11 +57,15 @@ pub(super) fn angles(
     corrected: impl Fn(f64) -> f64,
     mut on_progress: impl FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Option<Report>, FieldError> {
-    let mut step =
-        |fraction: f64, message: &str| on_progress(&Progress { fraction, message: message.to_owned() }).is_break();
+    let mut step = |fraction: f64, message: &str| {
+        on_progress(&Progress { fraction, message: message.to_owned() }).is_break()
+    };
     let settings = settings.checked()?;
     let prepared = Prepared::new(campaign, responses)?;
-    let judged = |share: f64| match step(0.3 * share, "judging every cause, here and where nothing is wrong") {
+    let judged = |share: f64| match step(
+        0.3 * share,
+        "judging every cause, here and where nothing is wrong",
+    ) {
         true => ControlFlow::Break(()),
         false => ControlFlow::Continue(()),
     };
@@ -72,13 +76,19 @@ pub(super) fn angles(
     let judgement = Judgement::of(&prepared, &posterior, corrected(screening.p_value));
     let mut report = blank(&screening, base);
     report.evidence = evidence(&prepared, &screening, &posterior);
-    report.blind_spots =
-        words::blind_spots(campaign.powders.len(), campaign.sessions() < campaign.runs.len(), &correlated(campaign));
+    report.blind_spots = words::blind_spots(
+        campaign.powders.len(),
+        campaign.sessions() < campaign.runs.len(),
+        &correlated(campaign),
+    );
     if step(0.3, "how large the effect is") {
         return Ok(None);
     }
     let told = effects::told(campaign, responses, &judgement.told)?;
-    let fold = |done: f64| match step(0.35 + 0.4 * done, "leaving out days, powders and ranges, and searching again") {
+    let fold = |done: f64| match step(
+        0.35 + 0.4 * done,
+        "leaving out days, powders and ranges, and searching again",
+    ) {
         true => ControlFlow::Break(()),
         false => ControlFlow::Continue(()),
     };
@@ -86,7 +96,8 @@ pub(super) fn angles(
         Ok(gain) => gain,
         Err(Stopped) => return Ok(None),
     };
-    let claim = Claim::of(judgement.proposal, told, gain.as_ref().is_some_and(|gain| gain.accepted));
+    let claim =
+        Claim::of(judgement.proposal, told, gain.as_ref().is_some_and(|gain| gain.accepted));
     report.verdict = claim.verdict;
     let is_found = report.verdict != Verdict::NoDiscrepancy;
     report.gain = gain.filter(|_| is_found);
@@ -96,28 +107,38 @@ pub(super) fn angles(
     let explained = judgement.proposal.is_found().then_some(&posterior);
     report.minimum_detectable = detectable(campaign, &prepared, &screening, explained, &settings);
     report.rows = rows(campaign, &posterior, is_found);
-    report.curves = if is_found { curves(campaign, responses)? } else { flat(curves(campaign, responses)?) };
+    report.curves =
+        if is_found { curves(campaign, responses)? } else { flat(curves(campaign, responses)?) };
     report.findings = claim.findings();
     report.causes = causes(&prepared, &posterior, &claim);
     report.ambiguous_between = judgement.ambiguous_between();
     report.unexplained = judgement.unexplained().map(|covariate| match covariate {
         Some(covariate) => law(campaign, &prepared, covariate),
-        None => {
-            Unexplained { covariate: None, law: "a wander over the sessions".to_owned(), form_class: FormClass::Smooth }
-        }
+        None => Unexplained {
+            covariate: None,
+            law: "a wander over the sessions".to_owned(),
+            form_class: FormClass::Smooth,
+        },
     });
     if step(0.9, "the experiment that would tell most") {
         return Ok(None);
     }
     report.suggested_experiment = match (judgement.to_tell_apart(), judgement.ranked.first()) {
-        (Some(causes), _) if is_found => {
-            experiment(campaign, responses, &causes, report.verdict != Verdict::Ambiguous, &settings)?
+        (Some(causes), _) if is_found => experiment(
+            campaign,
+            responses,
+            &causes,
+            report.verdict != Verdict::Ambiguous,
+            &settings,
+        )?,
+        (_, Some((likeliest, _))) if !is_found => {
+            settling(campaign, &prepared, likeliest, settings.seed)
         }
-        (_, Some((likeliest, _))) if !is_found => settling(campaign, &prepared, likeliest, settings.seed),
         _ => None,
     };
     let first = claim.told.first().filter(|_| report.verdict == Verdict::Cause);
-    report.sentence = words::sentence(&report, &claim, first.and_then(|it| posterior.law(&it.cause)));
+    report.sentence =
+        words::sentence(&report, &claim, first.and_then(|it| posterior.law(&it.cause)));
     if !report.null_check.is_judged() {
         let why = words::unjudged(campaign.sessions());
         report.sentence = format!("These angles cannot be judged: {why}.");
@@ -146,15 +167,25 @@ pub(super) fn worth(
 
 /// Reports whether repeats scatter more in some conditions, or that this cannot be seen. It decides
 /// nothing: the simulator makes no prediction of it.
-fn scatter(report: &mut Report, campaign: &Campaign, explained: &[f64], settings: &Settings) -> Result<(), FieldError> {
-    let prepared =
-        scatters(campaign, explained).ok().and_then(|it| Some((Prepared::new(&it, &Responses::new()).ok()?, it)));
-    let Some((prepared, scatters)) = prepared.filter(|(prepared, _)| !prepared.hypotheses.is_empty()) else {
+fn scatter(
+    report: &mut Report,
+    campaign: &Campaign,
+    explained: &[f64],
+    settings: &Settings,
+) -> Result<(), FieldError> {
+    let prepared = scatters(campaign, explained)
+        .ok()
+        .and_then(|it| Some((Prepared::new(&it, &Responses::new()).ok()?, it)));
+    let Some((prepared, scatters)) =
+        prepared.filter(|(prepared, _)| !prepared.hypotheses.is_empty())
+    else {
         report.blind_spots.push(words::NO_SCATTER.to_owned());
         return Ok(());
     };
     let null = simulated(&scatters, settings.seed, settings.simulations);
-    let Some(screening) = screen_among(&prepared, &[null], |_| ControlFlow::Continue(())) else { return Ok(()) };
+    let Some(screening) = screen_among(&prepared, &[null], |_| ControlFlow::Continue(())) else {
+        return Ok(());
+    };
     let p_value = screening.p_value;
     let posterior = Posterior::new(&prepared);
     let beside = Beside { campaign: &scatters, prepared: &prepared, posterior, screening };
@@ -190,10 +221,15 @@ pub(super) struct Judgement {
 
 impl Judgement {
     pub(super) fn of(prepared: &Prepared, posterior: &Posterior<'_>, p_value: f64) -> Self {
-        let mut ranked: Vec<(Cause, f64)> =
-            prepared.hypotheses.iter().map(|it| it.cause.clone()).zip(posterior.inclusion.iter().copied()).collect();
+        let mut ranked: Vec<(Cause, f64)> = prepared
+            .hypotheses
+            .iter()
+            .map(|it| it.cause.clone())
+            .zip(posterior.inclusion.iter().copied())
+            .collect();
         ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let claimed: Vec<Cause> = ranked.iter().filter(|it| it.1 >= CLAIM).map(|it| it.0.clone()).collect();
+        let claimed: Vec<Cause> =
+            ranked.iter().filter(|it| it.1 >= CLAIM).map(|it| it.0.clone()).collect();
         let top = ranked.first().map(|it| it.0.clone());
         let has_look_alike = |cause: &Cause| {
             let probability = ranked.iter().find(|it| it.0 == *cause).map_or(0.0, |it| it.1);
@@ -201,18 +237,26 @@ impl Judgement {
         };
         let proposal = match &top {
             _ if p_value > SIGNIFICANCE => Proposal::Nothing,
-            Some(Cause::Known(_)) if !claimed.is_empty() && !claimed.iter().any(has_look_alike) => Proposal::Cause,
-            Some(Cause::Unknown(_) | Cause::Unrecorded) if !claimed.is_empty() => Proposal::Unexplained,
+            Some(Cause::Known(_)) if !claimed.is_empty() && !claimed.iter().any(has_look_alike) => {
+                Proposal::Cause
+            }
+            Some(Cause::Unknown(_) | Cause::Unrecorded) if !claimed.is_empty() => {
+                Proposal::Unexplained
+            }
             _ => Proposal::Ambiguous,
         };
         let told = match proposal {
             Proposal::Nothing => Vec::new(),
             Proposal::Cause | Proposal::Unexplained => claimed,
             Proposal::Ambiguous => {
-                let mut told: Vec<Cause> =
-                    ranked.iter().take_while(|it| it.1 >= WORTH_TELLING).map(|it| it.0.clone()).collect();
+                let mut told: Vec<Cause> = ranked
+                    .iter()
+                    .take_while(|it| it.1 >= WORTH_TELLING)
+                    .map(|it| it.0.clone())
+                    .collect();
                 if told.len() < 2 {
-                    let first = top.iter().filter_map(|cause| look_alike(prepared, posterior, cause));
+                    let first =
+                        top.iter().filter_map(|cause| look_alike(prepared, posterior, cause));
                     let next = ranked.get(1).map(|it| it.0.clone());
                     told = top.iter().cloned().chain(first.chain(next).next()).collect();
                 }
@@ -248,8 +292,11 @@ impl Judgement {
             _ => self.told.iter().take(1).collect(),
         };
         if causes.len() < 2 {
-            let next =
-                self.ranked.iter().map(|it| &it.0).find(|it| !causes.contains(it) && !it.covariates().is_empty());
+            let next = self
+                .ranked
+                .iter()
+                .map(|it| &it.0)
+                .find(|it| !causes.contains(it) && !it.covariates().is_empty());
             causes.extend(next);
         }
         (causes.len() > 1).then_some(causes)
@@ -266,9 +313,12 @@ fn look_alike(prepared: &Prepared, posterior: &Posterior<'_>, cause: &Cause) -> 
         Some(prepared.measured.iter().map(|&i| column[i]).collect::<Vec<f64>>())
     };
     let own = common(cause)?;
-    let others =
-        prepared.hypotheses.iter().filter(|it| matches!(it.cause, Cause::Known(_)) && shares_none(&it.cause, cause));
-    let alike = others.filter_map(|it| Some((it.cause.clone(), correlation(&own, &common(&it.cause)?).abs())));
+    let others = prepared
+        .hypotheses
+        .iter()
+        .filter(|it| matches!(it.cause, Cause::Known(_)) && shares_none(&it.cause, cause));
+    let alike = others
+        .filter_map(|it| Some((it.cause.clone(), correlation(&own, &common(&it.cause)?).abs())));
     alike.filter(|it| it.1 >= LOOK_ALIKE).max_by(|a, b| a.1.total_cmp(&b.1)).map(|it| it.0)
 }
 
@@ -279,7 +329,9 @@ fn shares_none(one: &Cause, other: &Cause) -> bool {
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
     let (mean_a, mean_b) = (mean(a), mean(b));
-    let sum = |of: &dyn Fn(f64, f64) -> f64| a.iter().zip(b).map(|(x, y)| of(x - mean_a, y - mean_b)).sum::<f64>();
+    let sum = |of: &dyn Fn(f64, f64) -> f64| {
+        a.iter().zip(b).map(|(x, y)| of(x - mean_a, y - mean_b)).sum::<f64>()
+    };
     let scale = (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt();
     if scale > 0.0 { sum(&|x, y| x * y) / scale } else { 0.0 }
 }
@@ -305,7 +357,11 @@ fn flat(mut curves: Vec<Curve>) -> Vec<Curve> {
     curves
 }
 
-pub(super) fn evidence(prepared: &Prepared, screening: &Screening, posterior: &Posterior<'_>) -> Vec<Evidence> {
+pub(super) fn evidence(
+    prepared: &Prepared,
+    screening: &Screening,
+    posterior: &Posterior<'_>,
+) -> Vec<Evidence> {
     let of = |judged: &super::Judged| {
         let (cause, family) = judged.cause.name();
         Evidence {
@@ -316,7 +372,8 @@ pub(super) fn evidence(prepared: &Prepared, screening: &Screening, posterior: &P
         }
     };
     // A cause explained by the powders' means has no evidence, for or against.
-    let mut all: Vec<Evidence> = screening.judged.iter().filter(|it| it.log_evidence.is_finite()).map(of).collect();
+    let mut all: Vec<Evidence> =
+        screening.judged.iter().filter(|it| it.log_evidence.is_finite()).map(of).collect();
     debug_assert!(all.len() <= prepared.hypotheses.len());
     all.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
     all
@@ -347,14 +404,17 @@ fn rows(campaign: &Campaign, posterior: &Posterior<'_>, is_found: bool) -> Vec<R
         Row {
             row: repeats[0].row,
             powder: campaign.powders[repeats[0].powder].clone(),
-            measured_deg: mean(&repeats.iter().filter_map(|run| run.repose_deg).collect::<Vec<_>>()),
+            measured_deg: mean(
+                &repeats.iter().filter_map(|run| run.repose_deg).collect::<Vec<_>>(),
+            ),
             before_deg: known(before.mean_deg),
             before_sd_deg: before.sd_deg,
             after_deg: known(after.mean_deg),
             after_sd_deg: after.sd_deg,
         }
     };
-    let same = |a: &Run, b: &Run| a.row == b.row && a.repose_deg.is_some() == b.repose_deg.is_some();
+    let same =
+        |a: &Run, b: &Run| a.row == b.row && a.repose_deg.is_some() == b.repose_deg.is_some();
     campaign.runs.chunk_by(same).map(row).collect()
 }
 
@@ -382,7 +442,8 @@ fn causes(prepared: &Prepared, posterior: &Posterior<'_>, claim: &Claim) -> Vec<
         let (name, family) = mechanism.name();
         let finding = claim.finding(cause);
         let inclusion_probability = posterior.inclusion_of(cause);
-        let is_claimed = claim.is_worth_something && finding.is_some() && inclusion_probability >= CLAIM;
+        let is_claimed =
+            claim.is_worth_something && finding.is_some() && inclusion_probability >= CLAIM;
         Some(CauseReport {
             mechanism: name.to_owned(),
             family: family.to_owned(),
@@ -392,7 +453,8 @@ fn causes(prepared: &Prepared, posterior: &Posterior<'_>, claim: &Claim) -> Vec<
             powders: finding.map_or(Vec::new(), |it| it.powders.clone()),
         })
     };
-    let mut causes: Vec<CauseReport> = prepared.hypotheses.iter().filter_map(|it| report(&it.cause)).collect();
+    let mut causes: Vec<CauseReport> =
+        prepared.hypotheses.iter().filter_map(|it| report(&it.cause)).collect();
     causes.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
     causes
 }

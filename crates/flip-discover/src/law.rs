@@ -22,8 +22,11 @@ const STEP: f64 = 0.03;
 
 /// What is known of the departure along a covariate.
 pub(super) fn law(campaign: &Campaign, prepared: &Prepared, covariate: &str) -> Unexplained {
-    let smooth =
-        |law: String| Unexplained { covariate: Some(covariate.to_owned()), law, form_class: FormClass::Smooth };
+    let smooth = |law: String| Unexplained {
+        covariate: Some(covariate.to_owned()),
+        law,
+        form_class: FormClass::Smooth,
+    };
     if levels(campaign, covariate).is_some() {
         return smooth(format!("a number of its own for each {}", quantity(covariate).0));
     }
@@ -36,7 +39,8 @@ pub(super) fn law(campaign: &Campaign, prepared: &Prepared, covariate: &str) -> 
     let y = DMatrix::from_column_slice(prepared.observed.len(), 1, &prepared.observed);
     let seen = prepared.seen(&y);
     let odds = |courses: &[(String, Course)]| {
-        let hypothesis = Hypothesis::of(Cause::Unknown(covariate.to_owned()), courses, &powder, None);
+        let hypothesis =
+            Hypothesis::of(Cause::Unknown(covariate.to_owned()), courses, &powder, None);
         prepared.log_odds(&hypothesis, &seen)[0]
     };
     let judged: Vec<f64> = classes.iter().map(|(_, courses)| odds(courses)).collect();
@@ -54,7 +58,12 @@ pub(super) fn law(campaign: &Campaign, prepared: &Prepared, covariate: &str) -> 
 }
 
 /// Every class with its forms, each with the law in words.
-fn classes(campaign: &Campaign, values: &[f64], low: f64, high: f64) -> Vec<(FormClass, Vec<(String, Course)>)> {
+fn classes(
+    campaign: &Campaign,
+    values: &[f64],
+    low: f64,
+    high: f64,
+) -> Vec<(FormClass, Vec<(String, Course)>)> {
     let u: Vec<f64> = values.iter().map(|value| (value - low) / (high - low)).collect();
     let strength = |law: String, form: &dyn Fn(f64) -> f64| {
         let strength: Vec<f64> = u.iter().map(|&u| form(u)).collect();
@@ -64,13 +73,19 @@ fn classes(campaign: &Campaign, values: &[f64], low: f64, high: f64) -> Vec<(For
     let clipped = |u: f64| u.clamp(0.0, 1.0);
     let powers = [0.4, 2.0, 3.0, 5.0].into_iter().flat_map(|power: f64| {
         [
-            strength(format!("a power of {power} from {} up", place(0.0)), &|u| clipped(u).powf(power)),
-            strength(format!("a power of {power} from {} down", place(1.0)), &|u| clipped(1.0 - u).powf(power)),
+            strength(format!("a power of {power} from {} up", place(0.0)), &|u| {
+                clipped(u).powf(power)
+            }),
+            strength(format!("a power of {power} from {} down", place(1.0)), &|u| {
+                clipped(1.0 - u).powf(power)
+            }),
         ]
     });
     let steps = (1..10).map(|k| {
         let middle = f64::from(k) / 10.0;
-        strength(format!("a step at {}", place(middle)), &|u| 1.0 / (1.0 + ((middle - u) / STEP).exp()))
+        strength(format!("a step at {}", place(middle)), &|u| {
+            1.0 / (1.0 + ((middle - u) / STEP).exp())
+        })
     });
     let limits = [0.08, 0.15, 0.3].into_iter().flat_map(|length: f64| {
         let scale = rounded(length * (high - low));
@@ -85,10 +100,14 @@ fn classes(campaign: &Campaign, values: &[f64], low: f64, high: f64) -> Vec<(For
     });
     let waves = [0.2, 0.25, 0.33, 0.4, 0.5, 0.65, 0.8].into_iter().map(|period: f64| {
         let length = period * (high - low);
-        Some((format!("a wave of period {}", rounded(length)), Course::wave(values, length, campaign)?))
+        Some((
+            format!("a wave of period {}", rounded(length)),
+            Course::wave(values, length, campaign)?,
+        ))
     });
     let line = strength(format!("in proportion from {} to {}", place(0.0), place(1.0)), &|u| u);
-    let smooth = Course::smooth(values, SMOOTH_LENGTH, campaign).map(|course| ("a smooth course".to_owned(), course));
+    let smooth = Course::smooth(values, SMOOTH_LENGTH, campaign)
+        .map(|course| ("a smooth course".to_owned(), course));
     [
         (FormClass::Linear, vec![line].into_iter().flatten().collect::<Vec<_>>()),
         (FormClass::Power, powers.flatten().collect()),

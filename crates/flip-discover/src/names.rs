@@ -104,7 +104,9 @@ const SYMBOLS: [(&str, &str); 7] = [
 
 /// The whole table, as the page uses it.
 pub fn table() -> Value {
-    let map = |pairs: &[(&str, &str)]| Value::Object(pairs.iter().map(|&(k, v)| (k.to_owned(), v.into())).collect());
+    let map = |pairs: &[(&str, &str)]| {
+        Value::Object(pairs.iter().map(|&(k, v)| (k.to_owned(), v.into())).collect())
+    };
     json!({
         "units": UNITS.to_vec(), "columns": map(&COLUMNS), "causes": map(&CAUSES), "forms": map(&FORMS), "levels": LEVELS,
         "parameters": map(&PARAMETERS),
@@ -194,10 +196,16 @@ mod tests {
         assert_eq!(column("rest_min"), ("Time at rest".to_owned(), "min"));
         assert_eq!(column("_pct"), (" pct".to_owned(), ""), "an ending alone is a name");
         assert_eq!(cause("unknown: pressure_hpa"), "Unknown cause, with pressure");
-        assert_eq!((with_unit("+2.4", "deg"), with_unit("3", "mg")), ("+2.4°".to_owned(), "3 mg".to_owned()));
+        assert_eq!(
+            (with_unit("+2.4", "deg"), with_unit("3", "mg")),
+            ("+2.4°".to_owned(), "3 mg".to_owned())
+        );
         for name in Mechanism::ALL.map(|mechanism| mechanism.name().0) {
             let plain = cause(name);
-            assert!(plain.starts_with(char::is_uppercase) && !plain.contains('_'), "{name}: {plain}");
+            assert!(
+                plain.starts_with(char::is_uppercase) && !plain.contains('_'),
+                "{name}: {plain}"
+            );
         }
     }
 }

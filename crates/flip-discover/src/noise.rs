@@ -35,7 +35,8 @@ pub struct Noise {
 pub fn weights(campaign: &Campaign) -> Vec<f64> {
     let powders = campaign.powders.len();
     let (mut squares, mut freedom) = (vec![0.0; powders], vec![0.0; powders]);
-    let mut days: std::collections::BTreeMap<(usize, usize), Vec<f64>> = std::collections::BTreeMap::new();
+    let mut days: std::collections::BTreeMap<(usize, usize), Vec<f64>> =
+        std::collections::BTreeMap::new();
     for run in &campaign.runs {
         if let Some(angle) = run.repose_deg {
             days.entry((run.session, run.powder)).or_default().push(angle);
@@ -48,8 +49,11 @@ pub fn weights(campaign: &Campaign) -> Vec<f64> {
     }
     let (all_squares, all_freedom) = (squares.iter().sum::<f64>(), freedom.iter().sum::<f64>());
     // Without any repeats all runs count alike.
-    let pooled = if all_freedom > 0.0 && all_squares > 0.0 { all_squares / all_freedom } else { 1.0 };
-    let variance = |run: &Run| (squares[run.powder] + POOLED_FREEDOM * pooled) / (freedom[run.powder] + POOLED_FREEDOM);
+    let pooled =
+        if all_freedom > 0.0 && all_squares > 0.0 { all_squares / all_freedom } else { 1.0 };
+    let variance = |run: &Run| {
+        (squares[run.powder] + POOLED_FREEDOM * pooled) / (freedom[run.powder] + POOLED_FREEDOM)
+    };
     let variances: Vec<f64> = campaign.runs.iter().map(variance).collect();
     let measured = campaign.measured();
     let mean = measured.iter().map(|&i| variances[i]).sum::<f64>() / measured.len() as f64;
@@ -71,7 +75,12 @@ pub fn drawn_in(campaign: &Campaign) -> (Vec<f64>, Vec<f64>) {
         }
         let centre = middle(angles.clone());
         // 1.4826: SD of a normal distribution over its median absolute deviation.
-        (centre, OUTLIER_SD * 1.4826 * middle(angles.iter().map(|angle| (angle - centre).abs()).collect()))
+        (
+            centre,
+            OUTLIER_SD
+                * 1.4826
+                * middle(angles.iter().map(|angle| (angle - centre).abs()).collect()),
+        )
     };
     let known: Vec<(f64, f64)> = (0..campaign.powders.len()).map(of_powder).collect();
     let run = |run: &Run| {
@@ -80,7 +89,10 @@ pub fn drawn_in(campaign: &Campaign) -> (Vec<f64>, Vec<f64>) {
         // More than half of the angles are equal: outliers cannot be identified.
         Some(if reach == 0.0 { angle } else { angle.clamp(-reach, reach) })
     };
-    (campaign.runs.iter().filter_map(run).collect(), known.into_iter().map(|(centre, _)| centre).collect())
+    (
+        campaign.runs.iter().filter_map(run).collect(),
+        known.into_iter().map(|(centre, _)| centre).collect(),
+    )
 }
 
 /// Columns of the powders that have an angle, over all runs: `[runs, powders with an angle]`.
@@ -98,11 +110,14 @@ pub fn noises(campaign: &Campaign, weights: &[f64]) -> Result<Vec<Noise>, MixedM
     let (powder, session) = (campaign.powder_of(), campaign.session_of());
     let powders = campaign.powders.len();
     let session: Vec<usize> = measured.iter().map(|&i| session[i]).collect();
-    let both: Vec<usize> = measured.iter().zip(&session).map(|(&i, session)| session * powders + powder[i]).collect();
+    let both: Vec<usize> =
+        measured.iter().zip(&session).map(|(&i, session)| session * powders + powder[i]).collect();
     let weights: Vec<f64> = measured.iter().map(|&i| weights[i]).collect();
     let means = powder_means(campaign).select_rows(&measured);
-    let ratios: Vec<(f64, f64)> =
-        DAY_RATIOS.iter().flat_map(|&day| DAY_POWDER_RATIOS.map(|day_powder| (day, day_powder))).collect();
+    let ratios: Vec<(f64, f64)> = DAY_RATIOS
+        .iter()
+        .flat_map(|&day| DAY_POWDER_RATIOS.map(|day_powder| (day, day_powder)))
+        .collect();
     let noise = |(day, day_powder)| {
         let groups = [Group { of: &session, ratio: day }, Group { of: &both, ratio: day_powder }];
         let (model, factor) = Whitening::with_factor(&weights, &groups, &means)?;
@@ -141,13 +156,18 @@ pub fn with_simulated(
         });
         let noise = &noises[chosen.unwrap_or(noises.len() - 1)];
         let mut draws = |count: usize, variance: f64| -> Vec<f64> {
-            (0..count).map(|_| variance.sqrt() * normal::quantile(rng.random::<f64>().max(f64::EPSILON))).collect()
+            (0..count)
+                .map(|_| variance.sqrt() * normal::quantile(rng.random::<f64>().max(f64::EPSILON)))
+                .collect()
         };
-        let (day, day_powder) = (draws(sessions, noise.day), draws(sessions * powders, noise.day_powder));
+        let (day, day_powder) =
+            (draws(sessions, noise.day), draws(sessions * powders, noise.day_powder));
         let own = draws(measured.len(), 1.0);
         for (row, &i) in measured.iter().enumerate() {
             let run = &campaign.runs[i];
-            all[(row, k)] = day[run.session] + day_powder[run.session * powders + run.powder] + weights[i] * own[row];
+            all[(row, k)] = day[run.session]
+                + day_powder[run.session * powders + run.powder]
+                + weights[i] * own[row];
         }
     }
     all
@@ -169,11 +189,14 @@ fn as_components(
     repeats: &[f64],
     cell: &dyn Fn(usize) -> (usize, usize),
 ) -> [Vec<f64>; 3] {
-    let mut runs_in: std::collections::BTreeMap<(usize, usize), f64> = std::collections::BTreeMap::new();
+    let mut runs_in: std::collections::BTreeMap<(usize, usize), f64> =
+        std::collections::BTreeMap::new();
     (0..days.len()).for_each(|row| *runs_in.entry(cell(row)).or_default() += 1.0);
     let of_day = |day: usize| runs_in.range((day, 0)..(day + 1, 0));
     let (cells_on, runs_on): (Vec<f64>, Vec<f64>) = (0..days.len())
-        .map(|row| (of_day(cell(row).0).count() as f64, of_day(cell(row).0).map(|it| it.1).sum::<f64>()))
+        .map(|row| {
+            (of_day(cell(row).0).count() as f64, of_day(cell(row).0).map(|it| it.1).sum::<f64>())
+        })
         .unzip();
     let unbiased = |n: f64| if n > 1.0 { (n / (n - 1.0)).sqrt() } else { 1.0 };
     let mean = |of: &dyn Fn(usize) -> f64| (0..days.len()).map(of).sum::<f64>() / days.len() as f64;
@@ -186,7 +209,8 @@ fn as_components(
     let noise_of_cells = mean(&|row| repeats[row].powi(2) / n(row));
     let share_of_cells = share(noise_of_cells, mean(&|row| cells[row].powi(2)));
     let cells: Vec<f64> = cells.iter().map(|it| it * share_of_cells).collect();
-    let noise_of_days = mean(&|row| (cells[row].powi(2) * n(row) + repeats[row].powi(2)) / runs_on[row]);
+    let noise_of_days =
+        mean(&|row| (cells[row].powi(2) * n(row) + repeats[row].powi(2)) / runs_on[row]);
     let share_of_days = share(noise_of_days, mean(&|row| days[row].powi(2)));
     [days.iter().map(|it| it * share_of_days).collect(), cells, repeats]
 }
@@ -196,13 +220,19 @@ fn as_components(
 /// than elsewhere, and no covariate moves them: `[measured, simulations]`.
 ///
 /// Source: the wild bootstrap with Rademacher weights, here at each level of the noise.
-pub fn with_signs_redrawn(campaign: &Campaign, observed: &[f64], seed: u64, simulations: u32) -> DMatrix<f64> {
+pub fn with_signs_redrawn(
+    campaign: &Campaign,
+    observed: &[f64],
+    seed: u64,
+    simulations: u32,
+) -> DMatrix<f64> {
     let measured = campaign.measured();
     let run = |row: usize| &campaign.runs[measured[row]];
     let rows = observed.len();
     // Departure of each level from the one above it.
     let mean_of = |values: &[f64], of: &dyn Fn(usize) -> (usize, usize)| -> Vec<f64> {
-        let mut sums: std::collections::BTreeMap<(usize, usize), (f64, f64)> = std::collections::BTreeMap::new();
+        let mut sums: std::collections::BTreeMap<(usize, usize), (f64, f64)> =
+            std::collections::BTreeMap::new();
         for (row, value) in values.iter().enumerate() {
             let sum = sums.entry(of(row)).or_default();
             *sum = (sum.0 + value, sum.1 + 1.0);
@@ -222,8 +252,9 @@ pub fn with_signs_redrawn(campaign: &Campaign, observed: &[f64], seed: u64, simu
     let mut all = DMatrix::zeros(rows, simulations as usize);
     for (k, mut column) in all.column_iter_mut().enumerate() {
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x5349_474e, k as u64]));
-        let mut signs =
-            |count: usize| -> Vec<f64> { (0..count).map(|_| if rng.random::<bool>() { 1.0 } else { -1.0 }).collect() };
+        let mut signs = |count: usize| -> Vec<f64> {
+            (0..count).map(|_| if rng.random::<bool>() { 1.0 } else { -1.0 }).collect()
+        };
         let (day, cell, own) = (signs(sessions), signs(sessions * powders), signs(rows));
         for row in 0..rows {
             let (session, powder) = (run(row).session, run(row).powder);

@@ -22,7 +22,9 @@ impl NullCheck {
     pub(super) fn of(null: &[f64], statistic: f64) -> Self {
         let threshold95 = null.get((0.95 * null.len() as f64) as usize).copied();
         match threshold95.filter(|threshold| (statistic - threshold).is_finite()) {
-            Some(_) => Self { campaigns: null.len() as u32, statistic: Some(statistic), threshold95 },
+            Some(_) => {
+                Self { campaigns: null.len() as u32, statistic: Some(statistic), threshold95 }
+            }
             None => Self { campaigns: 0, statistic: None, threshold95: None },
         }
     }
@@ -49,7 +51,10 @@ mod tests {
         assert_eq!(serde_json::from_str::<NullCheck>(old).unwrap().statistic, None);
         let null: Vec<f64> = (0..100).map(f64::from).collect();
         let some = NullCheck::of(&null, 3.5);
-        assert_eq!(some, NullCheck { campaigns: 100, statistic: Some(3.5), threshold95: Some(95.0) });
+        assert_eq!(
+            some,
+            NullCheck { campaigns: 100, statistic: Some(3.5), threshold95: Some(95.0) }
+        );
         assert!(some.is_judged() && !none.is_judged());
     }
 }

@@ -46,8 +46,11 @@ pub enum Varied {
 }
 
 /// Factors tried on each setting.
-const FACTORS: [(Varied, &[f64]); 3] =
-    [(Varied::SettlingTime, &[0.3, 1.0, 3.0]), (Varied::Substep, &[0.5, 1.0]), (Varied::Particles, &[0.5, 1.0, 2.0])];
+const FACTORS: [(Varied, &[f64]); 3] = [
+    (Varied::SettlingTime, &[0.3, 1.0, 3.0]),
+    (Varied::Substep, &[0.5, 1.0]),
+    (Varied::Particles, &[0.5, 1.0, 2.0]),
+];
 
 /// How the angle depends on one setting of the computation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -77,14 +80,22 @@ pub fn criticise(
 ) -> Vec<Dependence> {
     let of = |&(varied, factors): &(Varied, &[f64])| {
         let heaps: Vec<(usize, f64, u64)> = (0..powders)
-            .flat_map(|powder| factors.iter().flat_map(move |&f| (0..repeats).map(move |k| (powder, f, u64::from(k)))))
+            .flat_map(|powder| {
+                factors
+                    .iter()
+                    .flat_map(move |&f| (0..repeats).map(move |k| (powder, f, u64::from(k))))
+            })
             .collect();
         // The same seed at every factor: the computation is the only difference.
         let angle = |&(powder, factor, k): &(usize, f64, u64)| {
             let angle = pour(powder, varied, factor, derive(seed, &[powder as u64, k]))?;
             let base = if varied == Varied::SettlingTime { 10.0 } else { 2.0 };
             // With another substep or other grains the same seed makes a different heap.
-            let alike = if varied == Varied::SettlingTime { powder * repeats as usize + k as usize } else { powder };
+            let alike = if varied == Varied::SettlingTime {
+                powder * repeats as usize + k as usize
+            } else {
+                powder
+            };
             Some((alike, factor.log(base), angle))
         };
         let points: Vec<(usize, f64, f64)> = heaps.par_iter().filter_map(angle).collect();
@@ -103,7 +114,8 @@ fn slope(points: &[(usize, f64, f64)]) -> (f64, [f64; 2]) {
     points.iter().for_each(|&(alike, x, y)| groups.entry(alike).or_default().push((x, y)));
     let mut centred = Vec::new();
     for of in groups.values() {
-        let mean = |value: fn(&(f64, f64)) -> f64| of.iter().map(value).sum::<f64>() / of.len() as f64;
+        let mean =
+            |value: fn(&(f64, f64)) -> f64| of.iter().map(value).sum::<f64>() / of.len() as f64;
         let (x, y) = (mean(|p| p.0), mean(|p| p.1));
         centred.extend(of.iter().map(|p| (p.0 - x, p.1 - y)));
     }
@@ -125,12 +137,17 @@ pub const CREEP: &str = "creep";
 /// Adds to a document how heaps depend on the computation. Creep becomes its first cause:
 /// discrepancies blamed on powders may be the simulator's own.
 pub fn tell(document: &mut Report, numerics: Numerics) {
-    let creep = numerics.dependences.iter().find(|it| it.varied == Varied::SettlingTime && it.is_defect).cloned();
+    let creep = numerics
+        .dependences
+        .iter()
+        .find(|it| it.varied == Varied::SettlingTime && it.is_defect)
+        .cloned();
     document.numerics = Some(numerics);
     let Some(Dependence { slope_deg, ci99, .. }) = creep else { return };
     // A normal deviate is within 2.576 on either side in 99 % of cases, within 1.96 in 95 %.
     let sd = ((ci99[1] - ci99[0]) / (2.0 * 2.576)).max(1e-9);
-    let within = normal::cdf((CREEP_DEG - slope_deg) / sd) - normal::cdf((-CREEP_DEG - slope_deg) / sd);
+    let within =
+        normal::cdf((CREEP_DEG - slope_deg) / sd) - normal::cdf((-CREEP_DEG - slope_deg) / sd);
     let ci95 = [slope_deg - 1.96 * sd, slope_deg + 1.96 * sd];
     document.sentence = format!(
         "{} makes angles change by {slope_deg:+.1}° [{:.1}, {:.1}] with every tenfold of the time that heaps are given to settle; what is said of powders \
@@ -140,8 +157,12 @@ pub fn tell(document: &mut Report, numerics: Numerics) {
         ci95[1],
         document.sentence
     );
-    let slope =
-        ParameterReport { name: "creep_deg_per_decade".to_owned(), value: slope_deg, ci95, unit: "deg".to_owned() };
+    let slope = ParameterReport {
+        name: "creep_deg_per_decade".to_owned(),
+        value: slope_deg,
+        ci95,
+        unit: "deg".to_owned(),
+    };
     let creep = CauseReport {
         mechanism: CREEP.to_owned(),
         family: "numerical".to_owned(),
@@ -189,7 +210,11 @@ mod tests {
     fn heaps_that_differ_much_and_creep_little_are_told_by_their_own_course() {
         // Seeds differ by a degree and each creeps by 0.3 deg a decade, give or take 0.05.
         let creeps = |_: usize, varied: Varied, factor: f64, seed: u64| {
-            let own = if varied == Varied::SettlingTime { 0.05 * heap(seed ^ factor.to_bits()) } else { 0.0 };
+            let own = if varied == Varied::SettlingTime {
+                0.05 * heap(seed ^ factor.to_bits())
+            } else {
+                0.0
+            };
             Some(heap(seed) + own - 0.3 * factor.log10())
         };
         let found = criticise(1, 3, 1, creeps);
@@ -202,7 +227,10 @@ mod tests {
         // squares 2, t_0.995 = 63.657.
         let (slope, ci99) = slope(&[(0, -1.0, -0.9), (0, 0.0, 0.8), (0, 1.0, 3.1)]);
         let half = 63.657 * (0.06f64 / 2.0).sqrt();
-        assert!((slope - 2.0).abs() < 1e-12 && (ci99[1] - 2.0 - half).abs() < 1e-3, "{slope} {ci99:?}");
+        assert!(
+            (slope - 2.0).abs() < 1e-12 && (ci99[1] - 2.0 - half).abs() < 1e-3,
+            "{slope} {ci99:?}"
+        );
     }
 
     #[test]

@@ -77,7 +77,8 @@ impl<'a> Posterior<'a> {
         let noises = prepared.noises.len();
         let none = (0..noises).map(|noise| {
             let model = &prepared.noises[noise].model;
-            let log_weight = MODELS[0].ln() + model.log_null(model.squares(&y)[0]) - (noises as f64).ln();
+            let log_weight =
+                MODELS[0].ln() + model.log_null(model.squares(&y)[0]) - (noises as f64).ln();
             Component { noise, parts: Vec::new(), amplitude: 0.0, log_weight }
         });
         let mut components: Vec<Component> = none.collect();
@@ -103,8 +104,9 @@ impl<'a> Posterior<'a> {
             components.iter().filter(|it| of(it)).map(|it| it.log_weight.exp()).sum()
         };
         let any = sum(&|it| !it.parts.is_empty()).max(f64::MIN_POSITIVE);
-        let inclusion =
-            (0..hypotheses.len()).map(|h| sum(&|it| it.parts.iter().any(|part| part.0 == h)) / any).collect();
+        let inclusion = (0..hypotheses.len())
+            .map(|h| sum(&|it| it.parts.iter().any(|part| part.0 == h)) / any)
+            .collect();
         Self { prepared, components, inclusion }
     }
 
@@ -182,7 +184,8 @@ impl<'a> Posterior<'a> {
     pub fn effect(&self, cause: &Cause, pairs: &[(usize, usize)]) -> Option<Mixture> {
         let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause)?;
         let solved = self.solved(|it| it.parts.iter().any(|part| part.0 == h));
-        (!solved.is_empty()).then(|| Mixture(solved.iter().map(|it| it.contrast(h, pairs)).collect()))
+        (!solved.is_empty())
+            .then(|| Mixture(solved.iter().map(|it| it.contrast(h, pairs)).collect()))
     }
 
     /// The heaviest of the selected components, with their coefficients; weights sum to 1.
@@ -194,7 +197,8 @@ impl<'a> Posterior<'a> {
         chosen.retain(|it| it.log_weight - heaviest > WEIGHT_MIN.ln());
         let total: f64 = chosen.iter().map(|it| (it.log_weight - heaviest).exp()).sum();
         let prepared = self.prepared;
-        let solve = |it: &&Component| Solved::new(prepared, it, (it.log_weight - heaviest).exp() / total);
+        let solve =
+            |it: &&Component| Solved::new(prepared, it, (it.log_weight - heaviest).exp() / total);
         chosen.par_iter().filter_map(solve).collect()
     }
 }
@@ -220,7 +224,8 @@ fn judge(
             let Some(signature) = model.signature(&features) else { continue };
             let (seen, squares) = (signature.seen(y), model.squares(y)[0]);
             for amplitude in AMPLITUDES {
-                let log_evidence = model.log_evidence(&signature, seen.column(0), squares, amplitude, &signs);
+                let log_evidence =
+                    model.log_evidence(&signature, seen.column(0), squares, amplitude, &signs);
                 let log_weight = log_prior + log_evidence;
                 found.push(Component { noise, parts: parts.clone(), amplitude, log_weight });
             }
@@ -231,9 +236,15 @@ fn judge(
 
 /// Features of several parts side by side, over all runs.
 fn join(prepared: &Prepared, parts: &[(usize, usize)]) -> DMatrix<f64> {
-    let of: Vec<&DMatrix<f64>> = parts.iter().map(|&(h, f)| &prepared.hypotheses[h].features[f]).collect();
-    let columns: Vec<DVector<f64>> = of.iter().flat_map(|it| it.column_iter().map(|c| c.into_owned())).collect();
-    if columns.is_empty() { DMatrix::zeros(prepared.powder.len(), 0) } else { DMatrix::from_columns(&columns) }
+    let of: Vec<&DMatrix<f64>> =
+        parts.iter().map(|&(h, f)| &prepared.hypotheses[h].features[f]).collect();
+    let columns: Vec<DVector<f64>> =
+        of.iter().flat_map(|it| it.column_iter().map(|c| c.into_owned())).collect();
+    if columns.is_empty() {
+        DMatrix::zeros(prepared.powder.len(), 0)
+    } else {
+        DMatrix::from_columns(&columns)
+    }
 }
 
 fn weight(components: &[Component], heaviest: f64) -> f64 {
@@ -255,7 +266,11 @@ fn pairs(prepared: &Prepared, y: &DMatrix<f64>, alone: &[Vec<Component>]) -> Vec
     let best: Vec<(Vec<usize>, f64)> = (0..hypotheses.len())
         .map(|h| {
             let of = |f: usize| -> f64 {
-                alone[h].iter().filter(|it| it.parts[0].1 == f).map(|it| (it.log_weight - heaviest).exp()).sum()
+                alone[h]
+                    .iter()
+                    .filter(|it| it.parts[0].1 == f)
+                    .map(|it| (it.log_weight - heaviest).exp())
+                    .sum()
             };
             let mut features: Vec<usize> = (0..hypotheses[h].features.len()).collect();
             features.sort_by(|&a, &b| of(b).total_cmp(&of(a)));
@@ -279,12 +294,16 @@ fn pairs(prepared: &Prepared, y: &DMatrix<f64>, alone: &[Vec<Component>]) -> Vec
         .filter(|&(a, b)| allowed(a, b))
         .collect();
     // Noises that are not tried are assumed to hold the same share as for one cause.
-    let noise_share = noises.iter().map(|&noise| of_noise[noise]).sum::<f64>() / of_noise.iter().sum::<f64>();
+    let noise_share =
+        noises.iter().map(|&noise| of_noise[noise]).sum::<f64>() / of_noise.iter().sum::<f64>();
     tried
         .into_par_iter()
         .flat_map_iter(|(a, b)| {
-            let parts: Vec<_> =
-                best[a].0.iter().flat_map(|&f| best[b].0.iter().map(move |&g| vec![(a, f), (b, g)])).collect();
+            let parts: Vec<_> = best[a]
+                .0
+                .iter()
+                .flat_map(|&f| best[b].0.iter().map(move |&g| vec![(a, f), (b, g)]))
+                .collect();
             let of = |h: usize| hypotheses[h].features.len();
             let count = (of(a) * of(b) * prepared.noises.len() * AMPLITUDES.len()) as f64;
             let share = best[a].1 * best[b].1 * noise_share;
@@ -301,7 +320,11 @@ fn may_go_together(a: &Hypothesis, b: &Hypothesis) -> bool {
     match (&a.cause, &b.cause) {
         (Cause::Known(Charge), Cause::Known(Humidity | Deliquescence))
         | (Cause::Known(Humidity | Deliquescence), Cause::Known(Charge)) => true,
-        (Cause::Known(one), Cause::Known(other)) if one.covariates().len() != other.covariates().len() => true,
+        (Cause::Known(one), Cause::Known(other))
+            if one.covariates().len() != other.covariates().len() =>
+        {
+            true
+        }
         _ => !a.cause.covariates().iter().any(|name| b.cause.covariates().contains(name)),
     }
 }
@@ -330,7 +353,11 @@ impl<'a> Solved<'a> {
         let fixed = &prepared.means;
         let means = fixed.ncols();
         let rows = DMatrix::from_columns(
-            &fixed.column_iter().chain(features.column_iter()).map(|c| c.into_owned()).collect::<Vec<_>>(),
+            &fixed
+                .column_iter()
+                .chain(features.column_iter())
+                .map(|c| c.into_owned())
+                .collect::<Vec<_>>(),
         );
         let mut columns = Vec::new();
         let mut first = means;
@@ -343,20 +370,32 @@ impl<'a> Solved<'a> {
         let y = DVector::from_column_slice(&prepared.observed);
         let solved = noise.factor.solve(&measured);
         let mut precision = measured.tr_mul(&solved);
-        (means..precision.nrows()).for_each(|k| precision[(k, k)] += component.amplitude.powi(-2));
+        (means..precision.nrows()).for_each(|k| precision[(k, k)] += 1.0 / (component.amplitude * component.amplitude));
         let precision = Cholesky::new(precision)?;
         let seen = solved.tr_mul(&y);
         let coefficients = precision.solve(&seen);
         let freedom = noise.model.freedom();
         let variance = (y.dot(&noise.factor.solve(&y)) - coefficients.dot(&seen)) / freedom;
         let day = noise.day + noise.day_powder;
-        Some(Self { prepared, weight, rows, columns, means, coefficients, precision, variance, freedom, day })
+        Some(Self {
+            prepared,
+            weight,
+            rows,
+            columns,
+            means,
+            coefficients,
+            precision,
+            variance,
+            freedom,
+            day,
+        })
     }
 
     /// The prediction for a run.
     fn row(&self, row: usize) -> Student {
         let at = self.rows.row(row).transpose();
-        let spread = at.dot(&self.precision.solve(&at)) + self.prepared.weights[row].powi(2) + self.day;
+        let spread =
+            at.dot(&self.precision.solve(&at)) + self.prepared.weights[row].powi(2) + self.day;
         self.student(at.dot(&self.coefficients), spread)
     }
 
@@ -370,7 +409,10 @@ impl<'a> Solved<'a> {
         let mut at = DVector::zeros(self.rows.ncols());
         for (_, columns) in self.columns.iter().filter(|(h, _)| *h == hypothesis) {
             for k in columns.clone() {
-                at[k] = pairs.iter().map(|&(low, high)| self.rows[(high, k)] - self.rows[(low, k)]).sum::<f64>()
+                at[k] = pairs
+                    .iter()
+                    .map(|&(low, high)| self.rows[(high, k)] - self.rows[(low, k)])
+                    .sum::<f64>()
                     / pairs.len() as f64;
             }
         }
@@ -378,7 +420,12 @@ impl<'a> Solved<'a> {
     }
 
     fn student(&self, location: f64, spread: f64) -> Student {
-        Student { weight: self.weight, location, scale: (self.variance * spread).sqrt(), freedom: self.freedom }
+        Student {
+            weight: self.weight,
+            location,
+            scale: (self.variance * spread).sqrt(),
+            freedom: self.freedom,
+        }
     }
 }
 

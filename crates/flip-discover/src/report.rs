@@ -92,7 +92,11 @@ impl Report {
             ambiguous_between: Vec::new(),
             unexplained: None,
             suggested_experiment: None,
-            simulator_version: SimulatorVersions { base: base.to_owned(), extended: None, verified: false },
+            simulator_version: SimulatorVersions {
+                base: base.to_owned(),
+                extended: None,
+                verified: false,
+            },
             gain: None,
             minimum_detectable: Vec::new(),
             blind_spots: Vec::new(),
@@ -115,9 +119,15 @@ impl Report {
     /// Adds how the files were read, and why columns were not judged.
     pub fn read_from(&mut self, files: &[FileRead]) {
         files.clone_into(&mut self.files);
-        let columns = self.files.iter_mut().filter(|file| file.file == "measurements").flat_map(|it| &mut it.columns);
+        let columns = self
+            .files
+            .iter_mut()
+            .filter(|file| file.file == "measurements")
+            .flat_map(|it| &mut it.columns);
         for column in columns {
-            let Some(out) = self.left_out.iter().find(|out| out.column == column.column) else { continue };
+            let Some(out) = self.left_out.iter().find(|out| out.column == column.column) else {
+                continue;
+            };
             let before = if column.note.is_empty() { "" } else { "; " };
             column.note = format!("{}{before}left out: {}", column.note, out.reason);
         }

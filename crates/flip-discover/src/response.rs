@@ -42,8 +42,11 @@ struct Table {
     shifts: [[f64; 3]; 3],
 }
 
-const HUMIDITY: Table =
-    Table { name: "humidity", unit: "1", shifts: [[0.1, 2.70, 0.58], [0.3, 9.10, 1.64], [0.8, 16.60, -1.33]] };
+const HUMIDITY: Table = Table {
+    name: "humidity",
+    unit: "1",
+    shifts: [[0.1, 2.70, 0.58], [0.3, 9.10, 1.64], [0.8, 16.60, -1.33]],
+};
 const CONSOLIDATION: Table = Table {
     name: "consolidation",
     unit: "bond number",
@@ -54,12 +57,21 @@ const CHARGE: Table = Table {
     unit: "bond number",
     shifts: [[1.0, -0.13, -0.85], [3.0, 0.74, -0.83], [10.0, 1.87, -1.54]],
 };
-const VIBRATION: Table =
-    Table { name: "vibration_g", unit: "g", shifts: [[0.05, -0.63, -0.06], [0.1, -1.07, -1.72], [0.2, -4.07, -2.92]] };
-const SIZES: Table =
-    Table { name: "size_spread", unit: "1", shifts: [[0.1, -3.06, 0.10], [0.2, -3.68, -0.75], [0.3, -3.89, -1.58]] };
-const COHESION: Table =
-    Table { name: "cohesion", unit: "1", shifts: [[0.1, 0.91, 0.67], [0.3, 2.48, 0.51], [0.6, 4.95, 1.33]] };
+const VIBRATION: Table = Table {
+    name: "vibration_g",
+    unit: "g",
+    shifts: [[0.05, -0.63, -0.06], [0.1, -1.07, -1.72], [0.2, -4.07, -2.92]],
+};
+const SIZES: Table = Table {
+    name: "size_spread",
+    unit: "1",
+    shifts: [[0.1, -3.06, 0.10], [0.2, -3.68, -0.75], [0.3, -3.89, -1.58]],
+};
+const COHESION: Table = Table {
+    name: "cohesion",
+    unit: "1",
+    shifts: [[0.1, 0.91, 0.67], [0.3, 2.48, 0.51], [0.6, 4.95, 1.33]],
+};
 const CLEARANCE: Table = Table {
     name: "funnel_clearance",
     unit: "grain diameters",
@@ -74,7 +86,9 @@ const BASE: Table = Table {
 fn table(mechanism: Mechanism) -> Option<&'static Table> {
     match mechanism {
         Mechanism::Humidity | Mechanism::Deliquescence => Some(&HUMIDITY),
-        Mechanism::RestTime | Mechanism::HumidAgeing | Mechanism::ContainerAge => Some(&CONSOLIDATION),
+        Mechanism::RestTime | Mechanism::HumidAgeing | Mechanism::ContainerAge => {
+            Some(&CONSOLIDATION)
+        }
         Mechanism::Charge => Some(&CHARGE),
         Mechanism::Vibration => Some(&VIBRATION),
         Mechanism::Batch => Some(&SIZES),
@@ -98,10 +112,14 @@ pub fn responses(campaign: &Campaign) -> Responses {
     let of = |mechanism: Mechanism| {
         let [_, shift, slope] = table(mechanism)?.shifts[2];
         let share = |angle: Option<f64>| {
-            angle.map_or(1.0, |angle| (1.0 + slope / shift * (angle - MIDDLE_DEG) / SLOPE_DEG).max(SHARE_MIN))
+            angle.map_or(1.0, |angle| {
+                (1.0 + slope / shift * (angle - MIDDLE_DEG) / SLOPE_DEG).max(SHARE_MIN)
+            })
         };
         let shares: Vec<f64> = angles.iter().map(|&angle| share(angle)).collect();
-        let scale = (shares.iter().map(|share| share * share).sum::<f64>() / shares.len().max(1) as f64).sqrt();
+        let scale = (shares.iter().map(|share| share * share).sum::<f64>()
+            / shares.len().max(1) as f64)
+            .sqrt();
         Some((mechanism, shares.iter().map(|share| share / scale).collect()))
     };
     Mechanism::ALL.into_iter().filter_map(of).collect()
@@ -123,7 +141,10 @@ pub(super) fn hook(mechanism: Mechanism) -> (Hook, f64) {
 /// The mechanism's amplitude that moves the angle of an average powder by this much, with its name
 /// and unit: linear between the simulated ones, extrapolated beyond them. `None` for causes that do
 /// not act on the grains.
-pub(super) fn amplitude(mechanism: Mechanism, effect_deg: f64) -> Option<(&'static str, f64, &'static str)> {
+pub(super) fn amplitude(
+    mechanism: Mechanism,
+    effect_deg: f64,
+) -> Option<(&'static str, f64, &'static str)> {
     let Table { name, unit, shifts } = table(mechanism)?;
     // The line from zero through the first amplitude that moves the angle as far, or else through
     // the one that moves it farthest.
@@ -138,7 +159,8 @@ mod tests {
 
     #[test]
     fn vibration_moves_steep_powders_most_and_charge_flat_ones() {
-        let run = |powder: usize, angle: f64| Run { row: 0, powder, session: 0, repose_deg: Some(angle) };
+        let run =
+            |powder: usize, angle: f64| Run { row: 0, powder, session: 0, repose_deg: Some(angle) };
         let campaign = Campaign {
             powders: ["sand", "bicarbonate", "lactose"].map(str::to_owned).to_vec(),
             runs: vec![run(0, 28.0), run(1, 42.0), run(1, 44.0)],

@@ -46,8 +46,10 @@ pub(super) fn scatters(campaign: &Campaign, explained: &[f64]) -> Result<Campaig
         (k as f64 / (k + 1) as f64).sqrt() * (left(runs[k]) - before).abs()
     };
     let cells: Vec<Vec<usize>> = cells.into_values().filter(|runs| runs.len() > 1).collect();
-    let contrasts: Vec<(&Vec<usize>, f64)> =
-        cells.iter().flat_map(|runs| (1..runs.len()).map(move |k| (runs, contrast(runs, k)))).collect();
+    let contrasts: Vec<(&Vec<usize>, f64)> = cells
+        .iter()
+        .flat_map(|runs| (1..runs.len()).map(move |k| (runs, contrast(runs, k))))
+        .collect();
     let usual: Vec<f64> = (0..campaign.powders.len())
         .map(|powder| {
             let of = contrasts.iter().filter(|(runs, _)| campaign.runs[runs[0]].powder == powder);
@@ -62,10 +64,10 @@ pub(super) fn scatters(campaign: &Campaign, explained: &[f64]) -> Result<Campaig
             (runs.as_slice(), Run { repose_deg: Some(percent((z / usual).max(LEAST))), ..first })
         })
         .unzip();
-    let covariates = campaign
-        .covariates
-        .iter()
-        .map(|covariate| Covariate { name: covariate.name.clone(), values: of_cells(&covariate.values, &of) });
+    let covariates = campaign.covariates.iter().map(|covariate| Covariate {
+        name: covariate.name.clone(),
+        values: of_cells(&covariate.values, &of),
+    });
     let quantity = Quantity::Scatter;
     Campaign {
         powders: campaign.powders.clone(),
@@ -81,11 +83,14 @@ pub(super) fn scatters(campaign: &Campaign, explained: &[f64]) -> Result<Campaig
 fn of_cells(values: &Values, cells: &[&[usize]]) -> Values {
     match values {
         Values::Numbers(of) => {
-            let mean = |runs: &&[usize]| mean(&runs.iter().filter_map(|&i| of[i]).collect::<Vec<_>>());
+            let mean =
+                |runs: &&[usize]| mean(&runs.iter().filter_map(|&i| of[i]).collect::<Vec<_>>());
             Values::Numbers(cells.iter().map(mean).collect())
         }
         Values::Levels { names, of } => {
-            let shared = |runs: &&[usize]| of[runs[0]].filter(|_| runs.iter().all(|&i| of[i] == of[runs[0]]));
+            let shared = |runs: &&[usize]| {
+                of[runs[0]].filter(|_| runs.iter().all(|&i| of[i] == of[runs[0]]))
+            };
             Values::Levels { names: names.clone(), of: cells.iter().map(shared).collect() }
         }
     }
@@ -127,7 +132,12 @@ mod tests {
             .collect();
         let values = Values::Numbers(runs.iter().map(|run| Some(humidity[run.session])).collect());
         let covariates = vec![Covariate { name: "relative_humidity_pct".to_owned(), values }];
-        Campaign { powders: vec!["sand".into(), "salt".into()], runs, covariates, ..Campaign::default() }
+        Campaign {
+            powders: vec!["sand".into(), "salt".into()],
+            runs,
+            covariates,
+            ..Campaign::default()
+        }
     }
 
     fn p_value(campaign: &Campaign) -> f64 {
@@ -169,7 +179,9 @@ mod tests {
         let alarms = (0..40).filter(|&seed| p_value(&campaign(seed, |_| 1.5)) <= 0.05).count();
         // Two are expected; seven or more have a chance of 1 in 300 (binomial, 40 at 5 %).
         assert!(alarms <= 6, "{alarms} false alarms of 40");
-        let found = (0..10).filter(|&seed| p_value(&campaign(seed, |h| 0.5 * (h / 20.0).exp2())) <= 0.05).count();
+        let found = (0..10)
+            .filter(|&seed| p_value(&campaign(seed, |h| 0.5 * (h / 20.0).exp2())) <= 0.05)
+            .count();
         assert!(found >= 7, "{found} of 10 found");
     }
 }

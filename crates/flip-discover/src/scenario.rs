@@ -17,10 +17,19 @@ pub type Conditions = BTreeMap<String, Setting>;
 
 /// The campaign with further runs, which have no angle unless one is given; and the index of the
 /// first of them.
-pub fn extended(campaign: &Campaign, session: usize, runs: &[(usize, Conditions, Option<f64>)]) -> (Campaign, usize) {
+pub fn extended(
+    campaign: &Campaign,
+    session: usize,
+    runs: &[(usize, Conditions, Option<f64>)],
+) -> (Campaign, usize) {
     let first = campaign.runs.len();
     let mut more = Campaign { flow_time_s: Vec::new(), ..campaign.clone() };
-    more.runs.extend(runs.iter().map(|&(powder, _, repose_deg)| Run { row: 0, powder, session, repose_deg }));
+    more.runs.extend(runs.iter().map(|&(powder, _, repose_deg)| Run {
+        row: 0,
+        powder,
+        session,
+        repose_deg,
+    }));
     for Covariate { name, values } in &mut more.covariates {
         match values {
             Values::Numbers(values) => {
@@ -29,10 +38,12 @@ pub fn extended(campaign: &Campaign, session: usize, runs: &[(usize, Conditions,
                     _ => None,
                 }))
             }
-            Values::Levels { of, .. } => of.extend(runs.iter().map(|(_, conditions, _)| match conditions.get(name) {
-                Some(Setting::Level(level)) => Some(*level),
-                _ => None,
-            })),
+            Values::Levels { of, .. } => {
+                of.extend(runs.iter().map(|(_, conditions, _)| match conditions.get(name) {
+                    Some(Setting::Level(level)) => Some(*level),
+                    _ => None,
+                }))
+            }
         }
     }
     (more, first)

@@ -108,7 +108,17 @@ impl Prepared {
         let (hypotheses, untestable) = hypotheses(campaign, responses);
         let (powder, measured) = (campaign.powder_of(), campaign.measured());
         let means = noise::powder_means(campaign);
-        Ok(Self { powder, measured, weights, centres, observed, means, noises, hypotheses, untestable })
+        Ok(Self {
+            powder,
+            measured,
+            weights,
+            centres,
+            observed,
+            means,
+            noises,
+            hypotheses,
+            untestable,
+        })
     }
 
     /// SD of a repeat, degrees: root mean square over runs, with the noise that explains these
@@ -130,9 +140,14 @@ impl Prepared {
 
     /// Campaigns, one a column, whitened by each noise.
     pub fn seen<'a>(&self, all: &'a DMatrix<f64>) -> Seen<'a> {
-        let squares: Vec<Vec<f64>> = self.noises.par_iter().map(|noise| noise.model.squares(all)).collect();
+        let squares: Vec<Vec<f64>> =
+            self.noises.par_iter().map(|noise| noise.model.squares(all)).collect();
         let log_null = |k: usize| {
-            let each = self.noises.iter().zip(&squares).map(|(noise, squares)| noise.model.log_null(squares[k]));
+            let each = self
+                .noises
+                .iter()
+                .zip(&squares)
+                .map(|(noise, squares)| noise.model.log_null(squares[k]));
             log_mean_exp(&each.collect::<Vec<f64>>())
         };
         let log_null = (0..all.ncols()).map(log_null).collect();
@@ -141,21 +156,34 @@ impl Prepared {
 
     /// Log odds of a hypothesis over noise alone in each campaign.
     pub fn log_odds(&self, hypothesis: &Hypothesis, seen: &Seen<'_>) -> Vec<f64> {
-        let of_noise =
-            |(noise, squares): (&Noise, &Vec<f64>)| self.evidence(&noise.model, hypothesis, seen.all, squares);
-        let judged: Vec<Vec<f64>> = self.noises.par_iter().zip(&seen.squares).map(of_noise).collect();
-        let over_noises = |k: usize| log_mean_exp(&judged.iter().map(|of| of[k]).collect::<Vec<f64>>());
+        let of_noise = |(noise, squares): (&Noise, &Vec<f64>)| {
+            self.evidence(&noise.model, hypothesis, seen.all, squares)
+        };
+        let judged: Vec<Vec<f64>> =
+            self.noises.par_iter().zip(&seen.squares).map(of_noise).collect();
+        let over_noises =
+            |k: usize| log_mean_exp(&judged.iter().map(|of| of[k]).collect::<Vec<f64>>());
         (0..seen.all.ncols()).map(|k| over_noises(k) - seen.log_null[k]).collect()
     }
 
     /// Log evidence of a hypothesis under one noise in each campaign.
-    fn evidence(&self, noise: &Whitening, hypothesis: &Hypothesis, all: &DMatrix<f64>, squares: &[f64]) -> Vec<f64> {
-        let signatures: Vec<Signature> = self.signatures(noise, hypothesis).into_iter().flatten().collect();
-        let seen: Vec<DMatrix<f64>> = signatures.iter().map(|signature| signature.seen(all)).collect();
+    fn evidence(
+        &self,
+        noise: &Whitening,
+        hypothesis: &Hypothesis,
+        all: &DMatrix<f64>,
+        squares: &[f64],
+    ) -> Vec<f64> {
+        let signatures: Vec<Signature> =
+            self.signatures(noise, hypothesis).into_iter().flatten().collect();
+        let seen: Vec<DMatrix<f64>> =
+            signatures.iter().map(|signature| signature.seen(all)).collect();
         let signs = hypothesis.signs(0);
         let of_column = |k: usize| {
             let each = signatures.iter().zip(&seen).flat_map(|(signature, seen)| {
-                AMPLITUDES.map(|amplitude| noise.log_evidence(signature, seen.column(k), squares[k], amplitude, &signs))
+                AMPLITUDES.map(|amplitude| {
+                    noise.log_evidence(signature, seen.column(k), squares[k], amplitude, &signs)
+                })
             });
             log_mean_exp(&each.collect::<Vec<f64>>())
         };
@@ -177,7 +205,11 @@ pub(super) struct Seen<'a> {
 ///
 /// # Errors
 /// A setting out of bounds; a campaign whose runs carry no information about their noise.
-pub fn screen(campaign: &Campaign, responses: &Responses, settings: &Settings) -> Result<Screening, FieldError> {
+pub fn screen(
+    campaign: &Campaign,
+    responses: &Responses,
+    settings: &Settings,
+) -> Result<Screening, FieldError> {
     let settings = settings.checked()?;
     let prepared = Prepared::new(campaign, responses)?;
     let never = |_: f64| ControlFlow::Continue(());
@@ -197,8 +229,16 @@ pub(super) fn screen_prepared(
     on_cause: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Option<Screening> {
     let Prepared { weights, noises, observed, .. } = prepared;
-    let simulated = noise::with_simulated(campaign, weights, noises, observed, settings.seed, settings.simulations);
-    let left: Vec<f64> = prepared.measured.iter().zip(observed).map(|(&i, angle)| angle - explained[i]).collect();
+    let simulated = noise::with_simulated(
+        campaign,
+        weights,
+        noises,
+        observed,
+        settings.seed,
+        settings.simulations,
+    );
+    let left: Vec<f64> =
+        prepared.measured.iter().zip(observed).map(|(&i, angle)| angle - explained[i]).collect();
     let redrawn = noise::with_signs_redrawn(campaign, &left, settings.seed, settings.simulations);
     screen_among(prepared, &[simulated.columns_range(1..).into_owned(), redrawn], on_cause)
 }
@@ -222,10 +262,13 @@ pub(super) fn screen_among(
         }
         log_odds.push(prepared.log_odds(hypothesis, &seen));
     }
-    let scores = |k: usize| hypotheses.iter().zip(&log_odds).map(move |(it, of)| of[k] + it.prior.ln());
+    let scores =
+        |k: usize| hypotheses.iter().zip(&log_odds).map(move |(it, of)| of[k] + it.prior.ln());
     let largest = |k: usize| scores(k).fold(f64::NEG_INFINITY, f64::max);
-    let p_in =
-        |null: &[f64]| (1 + null.iter().filter(|&&score| score >= largest(0)).count()) as f64 / (1 + null.len()) as f64;
+    let p_in = |null: &[f64]| {
+        (1 + null.iter().filter(|&&score| score >= largest(0)).count()) as f64
+            / (1 + null.len()) as f64
+    };
     let mut next = 1;
     let mut group = |of: &DMatrix<f64>| -> Vec<f64> {
         next += of.ncols();

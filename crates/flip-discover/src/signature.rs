@@ -27,10 +27,14 @@ impl Course {
     /// that range: if a form hardly begins within the range, its continuation is unknown.
     pub fn of_strength(strength: &[f64], campaign: &Campaign) -> Option<Self> {
         let measured = campaign.measured();
-        let of = |pick: fn(f64, f64) -> f64, from: f64| measured.iter().map(|&i| strength[i]).fold(from, pick);
+        let of = |pick: fn(f64, f64) -> f64, from: f64| {
+            measured.iter().map(|&i| strength[i]).fold(from, pick)
+        };
         let (low, high) = (of(f64::min, f64::INFINITY), of(f64::max, f64::NEG_INFINITY));
         let range = (high - low).max(0.0);
-        let within = DMatrix::from_fn(strength.len(), 1, |i, _| strength[i].clamp(low - range, high + range));
+        let within = DMatrix::from_fn(strength.len(), 1, |i, _| {
+            strength[i].clamp(low - range, high + range)
+        });
         Self::standardised(within, campaign)
     }
 
@@ -45,7 +49,8 @@ impl Course {
 
     /// A cause that differs between levels in an unknown way.
     pub fn of_levels(level: &[usize], count: usize, campaign: &Campaign) -> Option<Self> {
-        let indicator = DMatrix::from_fn(level.len(), count, |i, k| f64::from(u8::from(level[i] == k)));
+        let indicator =
+            DMatrix::from_fn(level.len(), count, |i, k| f64::from(u8::from(level[i] == k)));
         Self::standardised(indicator, campaign)
     }
 
@@ -68,7 +73,8 @@ impl Course {
         order.truncate(SMOOTH_MAX);
         let first = principal.eigenvalues[*order.first()?];
         order.retain(|&k| principal.eigenvalues[k] > SMOOTH_MIN * first);
-        let to_knots = DMatrix::from_fn(values.len(), knots.len(), |i, j| kernel(values[i], knots[j]));
+        let to_knots =
+            DMatrix::from_fn(values.len(), knots.len(), |i, j| kernel(values[i], knots[j]));
         let mut columns = to_knots * principal.eigenvectors.select_columns(&order);
         for (mut column, &k) in columns.column_iter_mut().zip(&order) {
             column /= principal.eigenvalues[k].sqrt();
@@ -90,9 +96,11 @@ impl Course {
         let measured = campaign.measured();
         let (before, of_all) = (columns.norm(), campaign.powder_of());
         for mut column in columns.column_iter_mut() {
-            let overall = measured.iter().map(|&i| column[i]).sum::<f64>() / measured.len().max(1) as f64;
+            let overall =
+                measured.iter().map(|&i| column[i]).sum::<f64>() / measured.len().max(1) as f64;
             for powder in 0..campaign.powders.len() {
-                let rows: Vec<usize> = measured.iter().copied().filter(|&i| of_all[i] == powder).collect();
+                let rows: Vec<usize> =
+                    measured.iter().copied().filter(|&i| of_all[i] == powder).collect();
                 // A powder that was never measured has no mean of its own.
                 let mean = match rows.is_empty() {
                     true => overall,
@@ -111,10 +119,12 @@ impl Course {
     pub fn with_powders(&self, powder: &[usize], deviation: f64) -> DMatrix<f64> {
         let powders = powder.iter().max().map_or(0, |last| last + 1);
         let m = self.0.ncols();
-        DMatrix::from_fn(powder.len(), m * (1 + powders), |i, column| match (column / m, column % m) {
-            (0, of) => self.0[(i, of)],
-            (block, of) if powder[i] + 1 == block => deviation * self.0[(i, of)],
-            _ => 0.0,
+        DMatrix::from_fn(powder.len(), m * (1 + powders), |i, column| {
+            match (column / m, column % m) {
+                (0, of) => self.0[(i, of)],
+                (block, of) if powder[i] + 1 == block => deviation * self.0[(i, of)],
+                _ => 0.0,
+            }
         })
     }
 }

@@ -21,13 +21,15 @@ pub(super) struct Verbs {
 
 pub(super) const ANGLES: Verbs =
     Verbs { up: "pile steeper", down: "pile flatter", than: "than the simulation predicts" };
-pub(super) const FLOW: Verbs = Verbs { up: "flow out more slowly", down: "flow out more quickly", than: "than usual" };
+pub(super) const FLOW: Verbs =
+    Verbs { up: "flow out more slowly", down: "flow out more quickly", than: "than usual" };
 
 /// `+2.4° [1.6, 3.1]`, or `+12 % [8, 16]`.
 pub(super) fn sized(effect: f64, ci95: [f64; 2], unit: &str) -> String {
     let decimals = decimals(unit);
     // Values printed as zero have no sign.
-    let number = |value: f64| format!("{:.decimals$}", if is_shown(value, decimals) { value } else { 0.0 });
+    let number =
+        |value: f64| format!("{:.decimals$}", if is_shown(value, decimals) { value } else { 0.0 });
     let sign = if effect > 0.0 && is_shown(effect, decimals) { "+" } else { "" };
     let unit = if unit == "deg" { "°".to_owned() } else { format!(" {unit}") };
     format!("{sign}{}{unit} [{}, {}]", number(effect), number(ci95[0]), number(ci95[1]))
@@ -44,7 +46,9 @@ pub(super) fn any_size(finding: &Finding) -> String {
     let size = sized(finding.effect, finding.ci95, &finding.unit);
     match &finding.powder {
         Some(powder) => format!("{} {size} {}", words(powder), finding.span),
-        None if finding.by_powder.len() > 1 => format!("{size} {} on average over powders", finding.span),
+        None if finding.by_powder.len() > 1 => {
+            format!("{size} {} on average over powders", finding.span)
+        }
         None => format!("{size} {}", finding.span),
     }
 }
@@ -53,14 +57,18 @@ pub(super) fn any_size(finding: &Finding) -> String {
 /// [1.5, 3.0] from 30 to 70 % relative humidity`
 pub(super) fn moved(finding: &Finding, verbs: &Verbs) -> String {
     let told = told(finding);
-    let of = |sign: f64| -> Vec<&PowderEffect> { told.iter().copied().filter(|it| sign * it.effect > 0.0).collect() };
+    let of = |sign: f64| -> Vec<&PowderEffect> {
+        told.iter().copied().filter(|it| sign * it.effect > 0.0).collect()
+    };
     let (up, down) = (of(1.0), of(-1.0));
     let who = |which: &[&PowderEffect]| who(which, told.len(), finding.by_powder.len());
     let how = match (up.is_empty(), down.is_empty()) {
         (false, true) => format!("{} {}", who(&up), verbs.up),
         (true, false) => format!("{} {}", who(&down), verbs.down),
         (false, false) => format!("{} {} and {} {}", who(&up), verbs.up, who(&down), verbs.down),
-        (true, true) => format!("powders {}", if finding.effect > 0.0 { verbs.up } else { verbs.down }),
+        (true, true) => {
+            format!("powders {}", if finding.effect > 0.0 { verbs.up } else { verbs.down })
+        }
     };
     format!("{how} {}: {}", verbs.than, sizes(finding))
 }
@@ -80,7 +88,8 @@ pub(super) fn sizes(finding: &Finding) -> String {
         return any_size(finding);
     }
     if told.len() <= NAMED_MAX {
-        let each: Vec<String> = told.iter().map(|it| format!("{} {}", words(&it.powder), of(it))).collect();
+        let each: Vec<String> =
+            told.iter().map(|it| format!("{} {}", words(&it.powder), of(it))).collect();
         return format!("{} {span}", each.join(", "));
     }
     let by = |a: &&&PowderEffect, b: &&&PowderEffect| a.effect.total_cmp(&b.effect);
@@ -156,7 +165,10 @@ mod tests {
             moved(&mixed, &ANGLES)
         );
         let nobody = finding(&[("sand", 0.4), ("salt", 0.4)]);
-        assert!(moved(&nobody, &FLOW).starts_with("powders flow out more slowly than usual: +0.4° [-0.1, 0.9]"));
+        assert!(
+            moved(&nobody, &FLOW)
+                .starts_with("powders flow out more slowly than usual: +0.4° [-0.1, 0.9]")
+        );
     }
 
     #[test]
@@ -168,8 +180,13 @@ mod tests {
              powders (from a +1.0° [0.5, 1.5] to e +5.0° [4.5, 5.5])"
         );
         assert_eq!(whom(&all), "all powders");
-        let most = finding(&[("a", 1.0), ("b", 2.0), ("c", 3.0), ("d", 4.0), ("e", 5.0), ("f", 0.0)]);
-        assert!(moved(&most, &ANGLES).starts_with("5 of 6 powders pile steeper"), "{}", moved(&most, &ANGLES));
+        let most =
+            finding(&[("a", 1.0), ("b", 2.0), ("c", 3.0), ("d", 4.0), ("e", 5.0), ("f", 0.0)]);
+        assert!(
+            moved(&most, &ANGLES).starts_with("5 of 6 powders pile steeper"),
+            "{}",
+            moved(&most, &ANGLES)
+        );
     }
 
     #[test]

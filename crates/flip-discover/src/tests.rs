@@ -8,7 +8,8 @@ mod claims;
 
 const POWDERS: [&str; 5] = ["sand", "sugar", "salt", "semolina", "sodium_bicarbonate"];
 /// Published means and SDs of five repeats, degrees.
-const PUBLISHED_DEG: [(f64, f64); 5] = [(28.55, 1.94), (31.41, 1.42), (36.03, 2.29), (42.76, 1.97), (42.38, 2.48)];
+const PUBLISHED_DEG: [(f64, f64); 5] =
+    [(28.55, 1.94), (31.41, 1.42), (36.03, 2.29), (42.76, 1.97), (42.38, 2.48)];
 const SETTINGS: Settings = Settings { seed: 1, simulations: 99 };
 
 /// Twenty days, two runs of each powder a day in random order, as a laboratory would do it.
@@ -39,8 +40,10 @@ impl Laboratory {
             rng: Pcg64::seed_from_u64(seed + 1_000_000),
         };
         for day in 0..20 {
-            let (humidity, temperature) = (rng.random_range(30.0..70.0), rng.random_range(19.0..25.0));
-            let (pressure, operator) = (rng.random_range(985.0..1020.0), rng.random_range(0..2u32) as usize);
+            let (humidity, temperature) =
+                (rng.random_range(30.0..70.0), rng.random_range(19.0..25.0));
+            let (pressure, operator) =
+                (rng.random_range(985.0..1020.0), rng.random_range(0..2u32) as usize);
             let mut powders: Vec<(u64, usize)> = (0..10).map(|k| (rng.random(), k / 2)).collect();
             powders.sort_unstable();
             for (place, (_, powder)) in powders.into_iter().enumerate() {
@@ -72,7 +75,9 @@ impl Laboratory {
             .map(|i| {
                 let (powder, session) = (self.powder[i], self.session[i]);
                 let (centre, repeat_sd) = PUBLISHED_DEG[powder];
-                let noise = repeat_sd * self.normal() + days[session] + days_of_powders[5 * session + powder];
+                let noise = repeat_sd * self.normal()
+                    + days[session]
+                    + days_of_powders[5 * session + powder];
                 let moved = if sd > 0.0 { effect_deg * raw[i] / sd } else { 0.0 };
                 Run { row: i as u32 + 2, powder, session, repose_deg: Some(centre + noise + moved) }
             })
@@ -95,9 +100,14 @@ impl Laboratory {
                 },
             },
         ];
-        Campaign { powders: POWDERS.map(str::to_owned).to_vec(), runs, covariates, ..Campaign::default() }
-            .checked()
-            .unwrap()
+        Campaign {
+            powders: POWDERS.map(str::to_owned).to_vec(),
+            runs,
+            covariates,
+            ..Campaign::default()
+        }
+        .checked()
+        .unwrap()
     }
 }
 
@@ -110,8 +120,12 @@ fn verdicts(count: u64, effect_deg: f64, effect: Effect) -> (usize, BTreeMap<Str
     let mut named = BTreeMap::new();
     let mut found = 0;
     for seed in 0..count {
-        let screening =
-            screen(&Laboratory::new(seed).campaign(effect_deg, effect), &Responses::new(), &SETTINGS).unwrap();
+        let screening = screen(
+            &Laboratory::new(seed).campaign(effect_deg, effect),
+            &Responses::new(),
+            &SETTINGS,
+        )
+        .unwrap();
         let total: f64 = screening.judged.iter().map(|judged| judged.probability).sum();
         assert!((total - 1.0).abs() < 1e-9, "probabilities add up to {total}");
         if screening.p_value <= 0.05 {
@@ -164,7 +178,10 @@ fn angles_whose_signs_are_drawn_anew_scatter_as_much_at_every_level() {
         for (k, (mean, own)) in means.into_iter().zip(squares(&campaign, &angles)).enumerate() {
             // A twentieth is due to the means of powders and days that are redrawn in each
             // campaign.
-            assert!((0.85..1.1).contains(&(mean / own)), "level {k}: {mean} drawn anew, {own} as it was");
+            assert!(
+                (0.85..1.1).contains(&(mean / own)),
+                "level {k}: {mean} drawn anew, {own} as it was"
+            );
         }
     }
 }
@@ -173,7 +190,8 @@ fn angles_whose_signs_are_drawn_anew_scatter_as_much_at_every_level() {
 fn hidden_effects_are_found_and_named() {
     // Forms that the catalogue does not have. SD of 1 deg in noise of 2 deg.
     let humidity = |lab: &Laboratory, i: usize| {
-        ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7) * [1.2, 0.7, 1.4, 0.9, 1.0][lab.powder[i]]
+        ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7)
+            * [1.2, 0.7, 1.4, 0.9, 1.0][lab.powder[i]]
     };
     let rest = |lab: &Laboratory, i: usize| (lab.rest[i] / (lab.rest[i] + 30.0)).sqrt();
     let operator = |lab: &Laboratory, i: usize| lab.operator[i] as f64;
@@ -201,19 +219,31 @@ fn what_was_not_recorded_cannot_be_blamed_and_the_reason_is_given() {
     rest.iter_mut().take(150).for_each(|value| *value = None);
     let names = (0..60).map(|k| format!("b{k:02}")).collect();
     let of = (0..campaign.runs.len()).map(|i| Some(i % 60)).collect();
-    campaign.covariates.push(Covariate { name: "batch".to_owned(), values: Values::Levels { names, of } });
+    campaign
+        .covariates
+        .push(Covariate { name: "batch".to_owned(), values: Values::Levels { names, of } });
     let screening = screen(&campaign, &Responses::new(), &SETTINGS).unwrap();
     let reason = |mechanism: Mechanism| {
-        let found = screening.untestable.iter().find(|untestable| untestable.mechanism == mechanism);
+        let found =
+            screening.untestable.iter().find(|untestable| untestable.mechanism == mechanism);
         found.map(|untestable| untestable.reason.clone())
     };
-    assert_eq!(reason(Mechanism::RestTime).as_deref(), Some("rest_min is missing in 150 of 200 runs"));
-    assert_eq!(reason(Mechanism::Vibration).as_deref(), Some("vibration_rms_m_s2 was not recorded"));
-    let many = "batch has 60 different names, more than the 50 that are looked at: group them into fewer";
+    assert_eq!(
+        reason(Mechanism::RestTime).as_deref(),
+        Some("rest_min is missing in 150 of 200 runs")
+    );
+    assert_eq!(
+        reason(Mechanism::Vibration).as_deref(),
+        Some("vibration_rms_m_s2 was not recorded")
+    );
+    let many =
+        "batch has 60 different names, more than the 50 that are looked at: group them into fewer";
     assert_eq!(reason(Mechanism::Batch).as_deref(), Some(many));
     assert_eq!(reason(Mechanism::Deliquescence), None, "70 % is above the first threshold");
     assert_eq!(reason(Mechanism::Humidity), None);
-    assert!(screening.judged.iter().all(|judged| judged.cause != Cause::Known(Mechanism::RestTime)));
+    assert!(
+        screening.judged.iter().all(|judged| judged.cause != Cause::Known(Mechanism::RestTime))
+    );
 }
 
 #[test]
@@ -229,7 +259,8 @@ fn a_campaign_gives_the_same_bits_at_any_number_of_threads() {
 #[test]
 fn campaigns_that_say_nothing_are_refused() {
     let campaign = Laboratory::new(5).campaign(0.0, |_, _| 0.0);
-    let few = Campaign { runs: campaign.runs[..16].to_vec(), covariates: Vec::new(), ..campaign.clone() };
+    let few =
+        Campaign { runs: campaign.runs[..16].to_vec(), covariates: Vec::new(), ..campaign.clone() };
     assert_eq!(few.checked().unwrap_err().field, "measurements");
     let odd = Campaign { runs: campaign.runs[..100].to_vec(), ..campaign.clone() };
     assert_eq!(odd.checked().unwrap_err().field, "relative_humidity_pct");
@@ -237,7 +268,9 @@ fn campaigns_that_say_nothing_are_refused() {
     flat.runs.iter_mut().for_each(|run| run.repose_deg = Some(30.0));
     assert_eq!(flat.checked().unwrap_err().field, "repose_deg");
     assert_eq!(
-        screen(&campaign, &Responses::new(), &Settings { simulations: 10, ..SETTINGS }).unwrap_err().field,
+        screen(&campaign, &Responses::new(), &Settings { simulations: 10, ..SETTINGS })
+            .unwrap_err()
+            .field,
         "simulations"
     );
 }
@@ -248,33 +281,53 @@ fn a_summary_stands_for_its_repeats() {
         let angles = repeats_of(31.4, 1.42, repeats);
         let mean = angles.iter().sum::<f64>() / f64::from(repeats);
         let squares: f64 = angles.iter().map(|angle| (angle - mean).powi(2)).sum();
-        assert!((mean - 31.4).abs() < 1e-9 && ((squares / f64::from(repeats - 1)).sqrt() - 1.42).abs() < 1e-9);
+        assert!(
+            (mean - 31.4).abs() < 1e-9
+                && ((squares / f64::from(repeats - 1)).sqrt() - 1.42).abs() < 1e-9
+        );
     }
     assert_eq!(repeats_of(31.4, 0.0, 1), [31.4]);
 }
 
 fn investigated(campaign: &Campaign) -> Report {
     let never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
-    investigate::angles(campaign, &Responses::new(), "base", &SETTINGS, |p| p, never).unwrap().unwrap()
+    investigate::angles(campaign, &Responses::new(), "base", &SETTINGS, |p| p, never)
+        .unwrap()
+        .unwrap()
 }
 
 #[test]
 fn a_humid_laboratory_is_told_so_and_days_left_out_are_predicted_better() {
-    let effect = |lab: &Laboratory, i: usize| ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7);
+    let effect =
+        |lab: &Laboratory, i: usize| ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7);
     let campaign = Laboratory::new(7).campaign(1.5, effect);
     let report = investigated(&campaign);
     assert_eq!(report.verdict, report::Verdict::Cause, "{}", report.sentence);
     let cause = &report.causes[0];
-    assert_eq!((cause.mechanism.as_str(), cause.family.as_str(), cause.confidence_level), ("humidity", "moisture", 2));
+    assert_eq!(
+        (cause.mechanism.as_str(), cause.family.as_str(), cause.confidence_level),
+        ("humidity", "moisture", 2)
+    );
     let [low, high] = report.findings[0].ci95;
     // SD of 1.5 deg; the 5th to the 95th percentile of such a course is some 3.2 SD.
     assert!(low < 4.8 && high > 4.8 && low > 2.0, "{low} to {high}");
     let gain = report.gain.unwrap();
-    assert!(gain.accepted && gain.held_out.rmse_after < gain.held_out.rmse_before - 0.2, "{gain:?}");
+    assert!(
+        gain.accepted && gain.held_out.rmse_after < gain.held_out.rmse_before - 0.2,
+        "{gain:?}"
+    );
     assert!((0.8..=0.97).contains(&gain.coverage90.after), "{gain:?}");
-    assert!(report.sentence.starts_with("Humidity makes all powders pile steeper"), "{}", report.sentence);
+    assert!(
+        report.sentence.starts_with("Humidity makes all powders pile steeper"),
+        "{}",
+        report.sentence
+    );
     let asked = report.suggested_experiment.unwrap();
-    assert!(asked.runs.iter().all(|run| run.contains_key("relative_humidity_pct")), "{}", asked.what);
+    assert!(
+        asked.runs.iter().all(|run| run.contains_key("relative_humidity_pct")),
+        "{}",
+        asked.what
+    );
 }
 
 #[test]
@@ -296,7 +349,8 @@ fn what_moved_together_is_not_told_apart_until_the_experiment_is_made() {
     // The container ages as the season grows humid.
     let mut lab = Laboratory::new(11);
     let age: Vec<f64> = lab.session.iter().map(|&day| day as f64).collect();
-    lab.humidity = age.iter().zip(&lab.rest).map(|(age, rest)| 30.0 + 2.0 * age + 0.002 * rest).collect();
+    lab.humidity =
+        age.iter().zip(&lab.rest).map(|(age, rest)| 30.0 + 2.0 * age + 0.002 * rest).collect();
     let mut campaign = lab.campaign(1.3, |lab, i| ((lab.humidity[i] - 30.0) / 40.0).powf(1.5));
     campaign.covariates.push(Covariate {
         name: "container_age_d".to_owned(),
@@ -304,22 +358,38 @@ fn what_moved_together_is_not_told_apart_until_the_experiment_is_made() {
     });
     let report = investigated(&campaign);
     assert_eq!(report.verdict, report::Verdict::Ambiguous, "{}", report.sentence);
-    assert!(report.ambiguous_between.contains(&"container_age".to_owned()), "{:?}", report.ambiguous_between);
-    assert!(report.blind_spots.iter().any(|spot| spot.contains("moved together")), "{:?}", report.blind_spots);
+    assert!(
+        report.ambiguous_between.contains(&"container_age".to_owned()),
+        "{:?}",
+        report.ambiguous_between
+    );
+    assert!(
+        report.blind_spots.iter().any(|spot| spot.contains("moved together")),
+        "{:?}",
+        report.blind_spots
+    );
     let asked = report.suggested_experiment.unwrap();
-    let settings: std::collections::BTreeSet<_> =
-        asked.runs.iter().map(|run| (&run["relative_humidity_pct"], &run["container_age_d"])).collect();
+    let settings: std::collections::BTreeSet<_> = asked
+        .runs
+        .iter()
+        .map(|run| (&run["relative_humidity_pct"], &run["container_age_d"]))
+        .collect();
     assert!(settings.len() > 1 && asked.chance_of_resolution > Some(0.5), "{}", asked.what);
 }
 
 #[test]
 fn probabilities_of_two_causes_are_of_two_causes() {
-    let effect =
-        |lab: &Laboratory, i: usize| 1.2 * lab.operator[i] as f64 + 1.4 * (lab.rest[i] / (lab.rest[i] + 30.0)).sqrt();
+    let effect = |lab: &Laboratory, i: usize| {
+        1.2 * lab.operator[i] as f64 + 1.4 * (lab.rest[i] / (lab.rest[i] + 30.0)).sqrt()
+    };
     let campaign = Laboratory::new(5).campaign(1.4, effect);
     let report = investigated(&campaign);
-    let claimed: Vec<&str> =
-        report.causes.iter().filter(|it| it.inclusion_probability >= 0.8).map(|it| it.mechanism.as_str()).collect();
+    let claimed: Vec<&str> = report
+        .causes
+        .iter()
+        .filter(|it| it.inclusion_probability >= 0.8)
+        .map(|it| it.mechanism.as_str())
+        .collect();
     assert_eq!(report.verdict, report::Verdict::Cause);
     assert!(claimed.contains(&"operator") && claimed.contains(&"rest_time"), "{claimed:?}");
     assert_eq!(report.findings.len(), claimed.len());
@@ -327,7 +397,8 @@ fn probabilities_of_two_causes_are_of_two_causes() {
 
 #[test]
 fn new_days_are_predicted_by_what_the_old_ones_showed() {
-    let effect = |lab: &Laboratory, i: usize| ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7);
+    let effect =
+        |lab: &Laboratory, i: usize| ((lab.humidity[i] - 30.0) / 40.0).clamp(0.0, 1.0).powf(1.7);
     let old = Laboratory::new(7).campaign(1.5, effect);
     let mut new = Laboratory::new(8).campaign(1.5, effect);
     // Powders in another order, and one never measured.
@@ -337,8 +408,11 @@ fn new_days_are_predicted_by_what_the_old_ones_showed() {
     assert_eq!(joined.runs[200].session, 20);
     let rows = predict(&joined, &Responses::new()).unwrap();
     assert_eq!(rows.len(), 200);
-    let before: std::collections::BTreeSet<String> =
-        rows.iter().filter(|row| row.powder == "sugar").map(|row| format!("{:?}", row.before_deg)).collect();
+    let before: std::collections::BTreeSet<String> = rows
+        .iter()
+        .filter(|row| row.powder == "sugar")
+        .map(|row| format!("{:?}", row.before_deg))
+        .collect();
     assert_eq!(before.len(), 1, "the simulator as it was knows one angle of a powder");
     let humid = |row: &&report::Row| {
         new.runs.iter().zip(0..).any(|(run, i)| {
@@ -382,7 +456,9 @@ fn unrecorded(sessions: usize, runs: usize) -> Campaign {
             repose_deg: Some(30.0 + 4.0 * powder as f64 + lab.normal()),
         });
     }
-    Campaign { powders: vec!["sand".into(), "salt".into()], runs: all, ..Campaign::default() }.checked().unwrap()
+    Campaign { powders: vec!["sand".into(), "salt".into()], runs: all, ..Campaign::default() }
+        .checked()
+        .unwrap()
 }
 
 fn is_whole(report: &Report) -> bool {
@@ -394,7 +470,9 @@ fn is_whole(report: &Report) -> bool {
 fn a_campaign_of_one_to_five_sessions_says_that_it_cannot_be_judged_and_reads_back() {
     let never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
     for sessions in 1..=5 {
-        let report = investigate(Some(&unrecorded(sessions, 7)), None, "base", &SETTINGS, never).unwrap().unwrap();
+        let report = investigate(Some(&unrecorded(sessions, 7)), None, "base", &SETTINGS, never)
+            .unwrap()
+            .unwrap();
         assert!(is_whole(&report), "{sessions} sessions");
         assert_eq!(
             (report.verdict, report.null_check.statistic, report.p_value),
@@ -403,12 +481,14 @@ fn a_campaign_of_one_to_five_sessions_says_that_it_cannot_be_judged_and_reads_ba
         let why = report.unjudged.as_deref().unwrap();
         assert!(why.contains(&format!("{sessions} of the 6 sessions")), "{why}");
         assert!(
-            report.sentence.starts_with("These angles cannot be judged: ") && why.contains("It takes"),
+            report.sentence.starts_with("These angles cannot be judged: ")
+                && why.contains("It takes"),
             "{}",
             report.sentence
         );
     }
-    let enough = investigate(Some(&unrecorded(6, 4)), None, "base", &SETTINGS, never).unwrap().unwrap();
+    let enough =
+        investigate(Some(&unrecorded(6, 4)), None, "base", &SETTINGS, never).unwrap().unwrap();
     assert!(enough.unjudged.is_none() && enough.null_check.is_judged() && is_whole(&enough));
 }
 
@@ -418,12 +498,17 @@ fn powders_that_were_each_measured_on_one_day_cannot_be_judged_and_say_so() {
     campaign.powders = (0..7).map(|k| format!("powder_{k}")).collect();
     campaign.runs.iter_mut().for_each(|run| run.powder = run.session);
     // One humidity per powder: no difference between the runs of a powder.
-    let values = Values::Numbers(campaign.runs.iter().map(|run| Some(30.0 + run.session as f64)).collect());
+    let values =
+        Values::Numbers(campaign.runs.iter().map(|run| Some(30.0 + run.session as f64)).collect());
     campaign.covariates = vec![Covariate { name: "relative_humidity_pct".to_owned(), values }];
     campaign.flow_time_s = campaign.runs.iter().map(|run| run.repose_deg).collect();
     let never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
     let report = investigate(Some(&campaign), None, "base", &SETTINGS, never).unwrap().unwrap();
     assert!(report.unjudged.is_some() && is_whole(&report), "{}", report.sentence);
     assert!(report.beside.iter().all(|it| it.null_check.is_judged()), "{:?}", report.beside);
-    assert!(report.blind_spots.iter().any(|it| it.starts_with("Flow times: nothing")), "{:?}", report.blind_spots);
+    assert!(
+        report.blind_spots.iter().any(|it| it.starts_with("Flow times: nothing")),
+        "{:?}",
+        report.blind_spots
+    );
 }

@@ -18,12 +18,19 @@ pub(super) fn sentence(report: &Report, claim: &Claim, law: Option<&str>) -> Str
         Verdict::Unexplained => unexplained(report),
     };
     let gain = report.gain.as_ref().map_or(String::new(), gain);
-    let next = report.suggested_experiment.as_ref().map_or(String::new(), |it| next(it, report.verdict));
-    [first, gain, next].iter().filter(|text| !text.is_empty()).map(String::as_str).collect::<Vec<_>>().join(" ")
+    let next =
+        report.suggested_experiment.as_ref().map_or(String::new(), |it| next(it, report.verdict));
+    [first, gain, next]
+        .iter()
+        .filter(|text| !text.is_empty())
+        .map(String::as_str)
+        .collect::<Vec<_>>()
+        .join(" ")
 }
 
 fn nothing(report: &Report, passing: Option<&Finding>) -> String {
-    let smallest = report.minimum_detectable.iter().min_by(|a, b| a.effect_deg.total_cmp(&b.effect_deg));
+    let smallest =
+        report.minimum_detectable.iter().min_by(|a, b| a.effect_deg.total_cmp(&b.effect_deg));
     let would = smallest.map_or(String::new(), |it| {
         format!(
             " This design would have shown an effect of {}° by {} in four of five campaigns; smaller effects cannot be ruled out.",
@@ -69,7 +76,9 @@ fn cause(report: &Report, claim: &Claim, law: Option<&str>) -> String {
     let told = claim.told.iter().filter_map(|it| caused(it, report, "makes", "changes"));
     let told = told.collect::<Vec<_>>().join("; and ");
     let law = law.filter(|law| !law.starts_with("one number for each"));
-    let law = law.map_or(String::new(), |law| format!(" It grows most probably with {law}{}.", letters(report, law)));
+    let law = law.map_or(String::new(), |law| {
+        format!(" It grows most probably with {law}{}.", letters(report, law))
+    });
     format!("{told}.{law}")
 }
 
@@ -78,7 +87,8 @@ fn cause(report: &Report, claim: &Claim, law: Option<&str>) -> String {
 fn caused(told: &Told, report: &Report, makes: &str, changes: &str) -> Option<String> {
     let finding = told.finding.as_ref()?;
     let Cause::Known(_) = &told.cause else {
-        let with = finding.covariate.as_deref().map_or("something".to_owned(), |name| quantity(name).0);
+        let with =
+            finding.covariate.as_deref().map_or("something".to_owned(), |name| quantity(name).0);
         return Some(format!("the angle also goes with {with}: {}", sizes(finding)));
     };
     let mechanism = told.cause.name().0;
@@ -88,7 +98,10 @@ fn caused(told: &Told, report: &Report, makes: &str, changes: &str) -> Option<St
         false => format!("{name} {makes} {}", moved(finding, &ANGLES)),
         true => {
             let whom = whom(finding);
-            format!("{name} {changes} the angle of {whom} against the simulation: {}", sizes(finding))
+            format!(
+                "{name} {changes} the angle of {whom} against the simulation: {}",
+                sizes(finding)
+            )
         }
     };
     Some(format!("{body} (probability {:.0} %)", 100.0 * known.inclusion_probability))
@@ -112,7 +125,11 @@ fn hint(report: &Report, claim: &Claim) -> String {
 
 /// The legend for the letters of a law: `, where h is the relative humidity`.
 fn letters(report: &Report, law: &str) -> String {
-    let covariates = report.findings.first().and_then(|finding| finding.covariate.as_deref()).unwrap_or_default();
+    let covariates = report
+        .findings
+        .first()
+        .and_then(|finding| finding.covariate.as_deref())
+        .unwrap_or_default();
     let stands = |name: &str| {
         let letter = names::symbol(name)?;
         let mut words = law.split(|c: char| !c.is_alphanumeric());
@@ -123,8 +140,10 @@ fn letters(report: &Report, law: &str) -> String {
 }
 
 fn ambiguous(report: &Report) -> String {
-    let names: Vec<String> = report.ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
-    let size = report.findings.iter().find_map(size).map_or(String::new(), |size| format!(": {size}"));
+    let names: Vec<String> =
+        report.ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
+    let size =
+        report.findings.iter().find_map(size).map_or(String::new(), |size| format!(": {size}"));
     format!(
         "Something makes powders pile differently than the simulation predicts{size}, and these data cannot tell which of {} it is.",
         names.join(" or ")
@@ -176,7 +195,9 @@ pub(super) fn beside(
 ) -> String {
     let finding = claim.told.iter().find_map(|it| it.finding.as_ref());
     let size = finding.and_then(size).map_or(String::new(), |size| format!(": {size}"));
-    let with = finding.and_then(|it| it.covariate.as_deref()).map_or("something".to_owned(), |name| quantity(name).0);
+    let with = finding
+        .and_then(|it| it.covariate.as_deref())
+        .map_or("something".to_owned(), |name| quantity(name).0);
     match (measured, claim.verdict) {
         (Quantity::Scatter, Verdict::NoDiscrepancy) => String::new(),
         (Quantity::Scatter, _) => match finding {
@@ -184,7 +205,10 @@ pub(super) fn beside(
                 "Repeats scatter differently with {with}{size}; evidence as strong arises by chance in {} % of such campaigns.",
                 percent(p_value)
             ),
-            None => "How far repeats scatter wanders over the sessions, with nothing that was recorded.".to_owned(),
+            None => {
+                "How far repeats scatter wanders over the sessions, with nothing that was recorded."
+                    .to_owned()
+            }
         },
         (_, Verdict::NoDiscrepancy) => format!(
             "Flow times show no discrepancy: evidence as strong arises by chance in {} % of such campaigns{}.",
@@ -200,15 +224,20 @@ pub(super) fn beside(
             }
         }
         (_, Verdict::Ambiguous) => {
-            let names: Vec<String> = ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
+            let names: Vec<String> =
+                ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
             format!(
                 "Something changes how long powders take to flow out{size}, and their flow times cannot tell which of {} it is.",
                 names.join(" or ")
             )
         }
         (_, Verdict::Unexplained) => match finding {
-            Some(_) => format!("The time of flow depends on {with}{size}, which no cause of the catalogue explains."),
-            None => "Flow times wander over the sessions, with nothing that was recorded.".to_owned(),
+            Some(_) => format!(
+                "The time of flow depends on {with}{size}, which no cause of the catalogue explains."
+            ),
+            None => {
+                "Flow times wander over the sessions, with nothing that was recorded.".to_owned()
+            }
         },
     }
 }
@@ -217,10 +246,16 @@ pub(super) fn beside(
 fn flows(told: &Told, verdict: Verdict, probability: impl Fn(&Cause) -> f64) -> Option<String> {
     let finding = told.finding.as_ref()?;
     let mechanism = told.cause.name().0;
-    let may = if verdict == Verdict::Cause { ["makes", "changes"] } else { ["may make", "may change"] };
+    let may =
+        if verdict == Verdict::Cause { ["makes", "changes"] } else { ["may make", "may change"] };
     let name = names::cause(&mechanism);
     let body = match is_of_levels(&mechanism) {
-        true => format!("{name} {} how long {} take to flow out: {}", may[1], whom(finding), sizes(finding)),
+        true => format!(
+            "{name} {} how long {} take to flow out: {}",
+            may[1],
+            whom(finding),
+            sizes(finding)
+        ),
         false => format!("{name} {} {}", may[0], moved(finding, &FLOW)),
     };
     Some(format!("{body} (probability {:.0} %)", 100.0 * probability(&told.cause)))
@@ -239,13 +274,22 @@ pub(super) fn left_out(columns: &[ColumnLeftOut]) -> String {
     let names: Vec<String> = columns.iter().map(|it| quantity(&it.column).0).collect();
     match names.as_slice() {
         [] => String::new(),
-        [one] => format!("Left out, for it follows from what was measured and is no condition: {one}."),
-        all => format!("Left out, for they follow from what was measured and are no conditions: {}.", all.join(", ")),
+        [one] => {
+            format!("Left out, for it follows from what was measured and is no condition: {one}.")
+        }
+        all => format!(
+            "Left out, for they follow from what was measured and are no conditions: {}.",
+            all.join(", ")
+        ),
     }
 }
 
 /// What cannot be seen with this data.
-pub(super) fn blind_spots(absorbed: usize, has_sessions: bool, correlated: &[(String, String, f64)]) -> Vec<String> {
+pub(super) fn blind_spots(
+    absorbed: usize,
+    has_sessions: bool,
+    correlated: &[(String, String, f64)],
+) -> Vec<String> {
     let mut spots = vec![format!(
         "A constant error of a powder's angle: calibration makes the simulator meet each of the {absorbed} powders' means, so whatever moves \
          all its runs alike is absorbed there."

@@ -6,8 +6,8 @@ use flip_core::domain::seed::derive;
 use flip_learn::train::environment::{Filling, play};
 use flip_learn::train::formula::Formula;
 use flip_learn::train::{
-    EpisodeRecord, Event, FineTuning, Level, Network, Order, Preset, Replayed, Settings, Start, TrainError, Trained,
-    train_on,
+    EpisodeRecord, Event, FineTuning, Level, Network, Order, Preset, Replayed, Settings, Start,
+    TrainError, Trained, train_on,
 };
 use flip_policy::{Actor, Controller, Episode, Observation, decode};
 use flip_sim::balance;
@@ -24,7 +24,11 @@ fn levels() -> Vec<Level> {
         repose_deg,
         sets: frictions.map(|f| ParameterSet::default().with("friction", f).unwrap()).to_vec(),
     };
-    vec![level("salt", 36.0, [0.65, 0.7]), level("sand", 28.6, [0.3, 0.35]), level("sugar", 31.4, [0.45, 0.5])]
+    vec![
+        level("salt", 36.0, [0.65, 0.7]),
+        level("sand", 28.6, [0.3, 0.35]),
+        level("sugar", 31.4, [0.45, 0.5]),
+    ]
 }
 
 /// Small and quick: the tested properties do not depend on the size.
@@ -44,7 +48,12 @@ fn small(order: Order) -> Settings {
 /// The same with the recurrent network.
 fn small_recurrent(replayed: Replayed) -> Settings {
     let relabel_share = if replayed == Replayed::Episodes { 0.5 } else { 0.0 };
-    Settings { network: Network::Recurrent { replayed }, batch: 4, relabel_share, ..small(Order::Curriculum) }
+    Settings {
+        network: Network::Recurrent { replayed },
+        batch: 4,
+        relabel_share,
+        ..small(Order::Curriculum)
+    }
 }
 
 /// Every kind of training that must be reproducible.
@@ -53,7 +62,14 @@ fn kinds() -> [Settings; 6] {
     let [stored, episodes] = recurrent;
     let surrogate = Settings { surrogate_episodes: 10, ..small(Order::Reverse) };
     let box_too = Settings { box_share: 0.5, ..surrogate.clone() };
-    [small(Order::Curriculum), small(Order::DomainRandomisation), stored, episodes, surrogate, box_too]
+    [
+        small(Order::Curriculum),
+        small(Order::DomainRandomisation),
+        stored,
+        episodes,
+        surrogate,
+        box_too,
+    ]
 }
 
 /// Never stops.
@@ -113,7 +129,9 @@ fn a_trained_policy_errs_less_than_half_as_much_as_an_untrained_one() {
     let (trained, ..) = run(&settings, None);
     let policy = decode(&trained.artifact).unwrap();
     let ours = mean_error_mg(&policy.controller, &settings);
-    let untrained = (0..5).map(|seed| mean_error_mg(&Controller::untrained(seed), &settings)).sum::<f64>() / 5.0;
+    let untrained =
+        (0..5).map(|seed| mean_error_mg(&Controller::untrained(seed), &settings)).sum::<f64>()
+            / 5.0;
     println!("trained {ours:.2} mg, untrained {untrained:.2} mg");
     assert!(ours < untrained / 2.0, "trained {ours}, untrained {untrained}");
     assert!(ours < 3.0, "{ours}");
@@ -145,28 +163,40 @@ fn a_training_goes_on_from_a_policy_and_holds_it_while_its_critics_form() {
         assert_eq!(run(&settings, Some(&checkpoint)).0, unbroken);
     }
     // Stopped before its first episode, it still has the policy.
-    let stopped = train_on(&FORMULA, &levels(), &settings, Start::Policy(&begun), &|| ControlFlow::Break(()), |_| {
-        panic!("there is nothing to tell")
-    });
+    let stopped = train_on(
+        &FORMULA,
+        &levels(),
+        &settings,
+        Start::Policy(&begun),
+        &|| ControlFlow::Break(()),
+        |_| panic!("there is nothing to tell"),
+    );
     let Err(TrainError::Stopped { checkpoint }) = stopped else { panic!("{stopped:?}") };
     assert_eq!(run(&settings, Some(&checkpoint)).0, unbroken);
     let other = Settings { hidden: 8, ..settings };
-    let refused = train_on(&FORMULA, &levels(), &other, Start::Policy(&begun), &GO_ON, |_| ControlFlow::Continue(()));
+    let refused = train_on(&FORMULA, &levels(), &other, Start::Policy(&begun), &GO_ON, |_| {
+        ControlFlow::Continue(())
+    });
     let Err(TrainError::Invalid(error)) = refused else { panic!("{refused:?}") };
     assert_eq!(error.field, "from");
 }
 
 #[test]
 fn the_first_episodes_are_played_on_the_surrogate_and_the_others_are_not() {
-    let of = |surrogate_episodes| run(&Settings { surrogate_episodes, ..small(Order::Random) }, None).1;
+    let of =
+        |surrogate_episodes| run(&Settings { surrogate_episodes, ..small(Order::Random) }, None).1;
     let (none, some, all) = (of(0), of(10), of(26));
     // Rounds of four, except the third: no round has both.
     assert_eq!(some[..8], all[..8]);
-    let dispensed = |episodes: &[EpisodeRecord]| episodes.iter().map(|e| e.dispensed_mg).collect::<Vec<_>>();
+    let dispensed =
+        |episodes: &[EpisodeRecord]| episodes.iter().map(|e| e.dispensed_mg).collect::<Vec<_>>();
     assert_eq!(dispensed(&some[8..10]), dispensed(&all[8..10]));
     assert_ne!(dispensed(&some[..4]), dispensed(&none[..4]));
     assert_ne!(dispensed(&some[10..12]), dispensed(&all[10..12]));
-    assert!(some.iter().zip(&none).all(|(a, b)| a.target_mg == b.target_mg), "the same doses are asked for");
+    assert!(
+        some.iter().zip(&none).all(|(a, b)| a.target_mg == b.target_mg),
+        "the same doses are asked for"
+    );
 }
 
 #[test]
@@ -178,7 +208,11 @@ fn an_interrupted_training_ends_with_the_same_bytes_as_an_unbroken_one() {
         for checkpoint in &checkpoints {
             let (resumed, again, _) = run(&settings, Some(checkpoint));
             assert_eq!(resumed, unbroken);
-            assert_eq!(again, episodes[episodes.len() - again.len()..], "the same episodes come again");
+            assert_eq!(
+                again,
+                episodes[episodes.len() - again.len()..],
+                "the same episodes come again"
+            );
         }
     }
 }
@@ -188,13 +222,14 @@ fn a_stop_finishes_its_round_and_hands_over_a_checkpoint() {
     let settings = small(Order::Random);
     let (unbroken, episodes, _) = run(&settings, None);
     let mut seen = Vec::new();
-    let stopped = train_on(&FORMULA, &levels(), &settings, Start::Nothing, &GO_ON, |event| match event {
-        Event::Episode(record) => {
-            seen.push(*record);
-            if seen.len() == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        }
-        Event::Checkpoint(_) => ControlFlow::Continue(()),
-    });
+    let stopped =
+        train_on(&FORMULA, &levels(), &settings, Start::Nothing, &GO_ON, |event| match event {
+            Event::Episode(record) => {
+                seen.push(*record);
+                if seen.len() == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            }
+            Event::Checkpoint(_) => ControlFlow::Continue(()),
+        });
     let Err(TrainError::Stopped { checkpoint }) = stopped else { panic!("{stopped:?}") };
     assert_eq!(seen, episodes[..8], "a round of four is reported whole");
     let (resumed, rest, _) = run(&settings, Some(&checkpoint));
@@ -237,8 +272,9 @@ fn the_number_of_threads_changes_nothing() {
 fn a_checkpoint_without_its_stored_states_ends_elsewhere() {
     let settings = small_recurrent(Replayed::StoredState);
     let (unbroken, _, checkpoints) = run(&settings, None);
-    let states =
-        |bytes: &[u8]| SafeTensors::deserialize(bytes).unwrap().tensor("replay.states").unwrap().data().to_vec();
+    let states = |bytes: &[u8]| {
+        SafeTensors::deserialize(bytes).unwrap().tensor("replay.states").unwrap().data().to_vec()
+    };
     // 8 episodes so far, each with hidden and cell of 16 units.
     assert_eq!(states(&checkpoints[0]).len(), 8 * 2 * 16 * 4);
     let (_, header) = SafeTensors::read_metadata(&checkpoints[0]).unwrap();
@@ -267,7 +303,9 @@ fn a_recurrent_policy_learns_and_weighs_by_what_it_remembers() {
     let policy = decode(&trained.artifact).unwrap();
     assert_eq!(policy.manifest.kind.name(), "recurrent");
     let ours = mean_error_mg(&policy.controller, &settings);
-    let untrained = (0..5).map(|seed| mean_error_mg(&Controller::untrained(seed), &settings)).sum::<f64>() / 5.0;
+    let untrained =
+        (0..5).map(|seed| mean_error_mg(&Controller::untrained(seed), &settings)).sum::<f64>()
+            / 5.0;
     println!("recurrent {ours:.2} mg, untrained {untrained:.2} mg");
     assert!(ours < untrained / 2.0, "recurrent {ours}, untrained {untrained}");
     // The same observation seen a second time within a weighing does not get the same action.
@@ -295,7 +333,10 @@ fn a_checkpoint_of_another_training_or_damaged_is_refused() {
         Err(TrainError::Checkpoint(text)) => text,
         other => panic!("{other:?}"),
     };
-    assert!(refusal(&Settings { seed: 4, ..settings.clone() }, &checkpoints[0]).contains("another training"));
+    assert!(
+        refusal(&Settings { seed: 4, ..settings.clone() }, &checkpoints[0])
+            .contains("another training")
+    );
     assert!(!refusal(&settings, &checkpoints[0][..checkpoints[0].len() / 2]).is_empty());
     assert!(!refusal(&settings, b"").is_empty());
     let policy = run(&settings, None).0.artifact;
@@ -324,13 +365,21 @@ fn levels_are_met_in_the_order_asked_for() {
 
 #[test]
 fn a_share_of_the_episodes_is_of_powders_from_the_whole_box_and_counts_for_no_level() {
-    let (trained, episodes, _) = run(&Settings { box_share: 0.5, episodes: 70, ..small(Order::Curriculum) }, None);
+    let (trained, episodes, _) =
+        run(&Settings { box_share: 0.5, episodes: 70, ..small(Order::Curriculum) }, None);
     let found = episodes.iter().filter(|e| e.powder == "randomised").count() as u32;
     assert!((20..=50).contains(&found), "{found} of 70");
     assert_eq!(trained.levels.iter().map(|level| level.episodes).sum::<u32>(), 70 - found);
-    let known: Vec<String> = levels().iter().flat_map(|level| level.sets.iter().map(ParameterSet::id)).collect();
-    assert!(episodes.iter().all(|e| (e.powder == "randomised") != known.contains(&e.parameter_set)));
-    assert_eq!(trained.manifest.switches.last().map(|switch| switch.to), Some(2), "the last level is reached");
+    let known: Vec<String> =
+        levels().iter().flat_map(|level| level.sets.iter().map(ParameterSet::id)).collect();
+    assert!(
+        episodes.iter().all(|e| (e.powder == "randomised") != known.contains(&e.parameter_set))
+    );
+    assert_eq!(
+        trained.manifest.switches.last().map(|switch| switch.to),
+        Some(2),
+        "the last level is reached"
+    );
 }
 
 #[test]
@@ -340,7 +389,10 @@ fn the_papers_preset_plays_ten_steps_and_never_ends_early() {
     assert!(episodes.iter().all(|e| e.steps == 10 && e.ending == Episode::TimedOut));
     let updates = episodes.iter().filter(|e| e.losses.is_some()).count();
     assert_eq!(updates, 10, "updates begin after the 20 random episodes");
-    assert_eq!((trained.manifest.preset.as_str(), trained.manifest.kind.name()), ("paper", "recurrent"));
+    assert_eq!(
+        (trained.manifest.preset.as_str(), trained.manifest.kind.name()),
+        ("paper", "recurrent")
+    );
     assert_eq!(trained.manifest.rules.pitch, PitchLimits::PAPER);
 }
 
@@ -363,5 +415,8 @@ fn impossible_inputs_are_refused_by_field() {
     assert_eq!(refused(&[empty], &settings), "levels[0].sets");
     let nan = Level { repose_deg: f64::NAN, ..levels().remove(0) };
     assert_eq!(refused(&[nan], &settings), "levels[0].repose_deg");
-    assert_eq!(refused(&levels(), &Settings { learning_rate: f64::NAN, ..settings }), "learning_rate");
+    assert_eq!(
+        refused(&levels(), &Settings { learning_rate: f64::NAN, ..settings }),
+        "learning_rate"
+    );
 }

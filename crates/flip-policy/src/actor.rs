@@ -93,7 +93,11 @@ pub(super) fn perceptron(layers: &[Layer], inputs: &[f32]) -> Vec<f32> {
     let mut x = inputs.to_vec();
     for (depth, layer) in layers.iter().enumerate() {
         let last = depth + 1 == layers.len();
-        x = if last { layer.sums(&x).into_iter().map(|v| v as f32).collect() } else { layer.relu(&x) };
+        x = if last {
+            layer.sums(&x).into_iter().map(|v| v as f32).collect()
+        } else {
+            layer.relu(&x)
+        };
     }
     x
 }
@@ -122,7 +126,11 @@ impl Actor {
     /// # Errors
     /// [`Malformed`] when the widths do not fit the encoding, the block has another length, or a
     /// weight is not finite.
-    pub fn from_flat(encoding: Encoding, widths: &[usize], flat: &[f32]) -> Result<Self, Malformed> {
+    pub fn from_flat(
+        encoding: Encoding,
+        widths: &[usize],
+        flat: &[f32],
+    ) -> Result<Self, Malformed> {
         let refuse = |text: String| Err(Malformed(text));
         if widths.len() < 2 || widths.len() > 9 || widths.iter().any(|&w| w == 0 || w > 4096) {
             return refuse(format!("widths {widths:?} must be 2 to 9 numbers from 1 to 4096"));
@@ -178,7 +186,9 @@ impl Actor {
         let mut flat = Vec::with_capacity(Self::flat_len(&widths));
         for pair in widths.windows(2) {
             let bound = 1.0 / (pair[0] as f32).sqrt();
-            flat.extend((0..(pair[0] + 1) * pair[1]).map(|_| bound * (2.0 * rng.random::<f32>() - 1.0)));
+            flat.extend(
+                (0..(pair[0] + 1) * pair[1]).map(|_| bound * (2.0 * rng.random::<f32>() - 1.0)),
+            );
         }
         Self::from_flat(encoding, &widths, &flat).expect("widths and weights are made to fit")
     }
@@ -188,7 +198,10 @@ impl Actor {
         let encoding = self.encoding;
         match &self.network {
             Network::FeedForward(layers) => {
-                let widths = [encoding.width()].into_iter().chain(layers.iter().map(|layer| layer.outputs)).collect();
+                let widths = [encoding.width()]
+                    .into_iter()
+                    .chain(layers.iter().map(|layer| layer.outputs))
+                    .collect();
                 Kind::Learned { encoding, widths }
             }
             Network::Recurrent(network) => Kind::Recurrent { encoding, hidden: network.hidden() },
@@ -240,7 +253,10 @@ impl Actor {
     /// Computes the Gaussian for the current observation; advances the carried state, except for
     /// its last action.
     fn look(&self, observation: &Observation, carried: &mut Carried) -> Head {
-        let known = Known { fell_mg: observation.reading_mg - carried.last_reading_mg, repose_deg: carried.repose_deg };
+        let known = Known {
+            fell_mg: observation.reading_mg - carried.last_reading_mg,
+            repose_deg: carried.repose_deg,
+        };
         carried.last_reading_mg = observation.reading_mg;
         self.forward(&observation.encode(self.encoding, &known), carried)
     }
@@ -255,9 +271,15 @@ impl Actor {
 
     /// Draws an action in -1..=1, for exploration: `tanh(mean + std * noise)`. Consumes two normal
     /// numbers.
-    pub fn sample(&self, observation: &Observation, carried: &mut Carried, rng: &mut impl Rng) -> [f32; OUTPUTS] {
+    pub fn sample(
+        &self,
+        observation: &Observation,
+        carried: &mut Carried,
+        rng: &mut impl Rng,
+    ) -> [f32; OUTPUTS] {
         let head = self.look(observation, carried);
-        carried.last_action = std::array::from_fn(|k| (head.mean[k] + head.log_std[k].exp() * normal(rng)).tanh());
+        carried.last_action =
+            std::array::from_fn(|k| (head.mean[k] + head.log_std[k].exp() * normal(rng)).tanh());
         carried.last_action
     }
 }
@@ -333,10 +355,13 @@ mod tests {
         let mut rng = Pcg64Mcg::seed_from_u64(3);
         let actor = Actor::untrained(Encoding::Missing, &[16], &mut rng);
         let seen = Observation { reading_mg: 2.0, target_mg: 10.0, pitch_deg: 5.0 };
-        let samples: Vec<f32> = (0..2000).map(|_| actor.sample(&seen, &mut actor.begin(), &mut rng)[1]).collect();
+        let samples: Vec<f32> =
+            (0..2000).map(|_| actor.sample(&seen, &mut actor.begin(), &mut rng)[1]).collect();
         assert!(samples.iter().all(|a| (-1.0..=1.0).contains(a)));
-        let centre =
-            actor.forward(&seen.encode(Encoding::Missing, &Known::default()), &mut actor.begin()).mean[1].tanh();
+        let centre = actor
+            .forward(&seen.encode(Encoding::Missing, &Known::default()), &mut actor.begin())
+            .mean[1]
+            .tanh();
         let below = samples.iter().filter(|&&a| a < centre).count();
         // tanh keeps the median: 1000 +- 4 sd of 22.
         assert!((911..=1089).contains(&below), "{below} of 2000 below the median");

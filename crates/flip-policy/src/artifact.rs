@@ -61,7 +61,10 @@ pub fn encode(policy: &Policy) -> Vec<u8> {
         }
     }
     let views = blocks.iter().map(|(name, shape, bytes)| {
-        (name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes).expect("the shape is the block's"))
+        (
+            name.as_str(),
+            TensorView::new(Dtype::F32, shape.clone(), bytes).expect("the shape is the block's"),
+        )
     });
     let manifest = serde_json::to_string(&policy.manifest).expect("a manifest is plain data");
     safetensors::serialize(views, Some(HashMap::from([(MANIFEST_KEY.to_owned(), manifest)])))
@@ -79,8 +82,11 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
     let broken = |e: safetensors::SafeTensorError| ArtifactError::NotSafetensors(e.to_string());
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
     let text = header.metadata().as_ref().and_then(|m| m.get(MANIFEST_KEY));
-    let text = text.ok_or_else(|| ArtifactError::Manifest(format!("the metadata has no key `{MANIFEST_KEY}`")))?;
-    let manifest: Manifest = serde_json::from_str(text).map_err(|e| ArtifactError::Manifest(e.to_string()))?;
+    let text = text.ok_or_else(|| {
+        ArtifactError::Manifest(format!("the metadata has no key `{MANIFEST_KEY}`"))
+    })?;
+    let manifest: Manifest =
+        serde_json::from_str(text).map_err(|e| ArtifactError::Manifest(e.to_string()))?;
     check_rules(&manifest)?;
     let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
     let controller = match &manifest.kind {
@@ -102,7 +108,9 @@ pub fn decode(bytes: &[u8]) -> Result<Policy, ArtifactError> {
             let checked = response.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?;
             Controller::Dispenser(Dispenser::new(checked))
         }
-        Kind::Pid { gains } => Controller::Pid(gains.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?),
+        Kind::Pid { gains } => {
+            Controller::Pid(gains.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
+        }
         Kind::Fuzzy { fuzzy } => {
             Controller::Fuzzy(fuzzy.checked().map_err(|e| ArtifactError::Manifest(e.to_string()))?)
         }
@@ -121,15 +129,23 @@ fn learned(actor: Result<Actor, Malformed>) -> Result<Controller, ArtifactError>
 fn flatten(tensors: &SafeTensors, kind: &Kind) -> Result<Vec<f32>, ArtifactError> {
     let expected = kind.tensors();
     if tensors.len() != expected.len() {
-        return Err(ArtifactError::Tensors(format!("{} tensors expected, found {}", expected.len(), tensors.len())));
+        return Err(ArtifactError::Tensors(format!(
+            "{} tensors expected, found {}",
+            expected.len(),
+            tensors.len()
+        )));
     }
     let mut flat = Vec::new();
     for (name, shape) in expected {
-        let tensor = tensors.tensor(&name).map_err(|_| ArtifactError::Tensors(format!("`{name}` is missing")))?;
+        let tensor = tensors
+            .tensor(&name)
+            .map_err(|_| ArtifactError::Tensors(format!("`{name}` is missing")))?;
         if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
             return Err(ArtifactError::Tensors(format!("`{name}` must be F32 of shape {shape:?}")));
         }
-        flat.extend(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])));
+        flat.extend(
+            tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+        );
     }
     Ok(flat)
 }
@@ -160,7 +176,9 @@ fn checked(step: &ScheduledStep) -> Result<ScheduledStep, ArtifactError> {
     let ok = step.pitch_deg.abs() <= 90.0 && (0.0..=SHAKE_MM_MAX).contains(&step.shake_mm);
     match ok {
         true => Ok(*step),
-        false => Err(ArtifactError::Manifest("a step needs a pitch within 90 deg and a shake from 0 to 16 mm".into())),
+        false => Err(ArtifactError::Manifest(
+            "a step needs a pitch within 90 deg and a shake from 0 to 16 mm".into(),
+        )),
     }
 }
 
@@ -192,9 +210,13 @@ mod tests {
     }
 
     fn scheduled() -> Policy {
-        let schedule = Schedule { steps: vec![ScheduledStep { pitch_deg: 24.5, shake_mm: 6.25 }; 3] };
+        let schedule =
+            Schedule { steps: vec![ScheduledStep { pitch_deg: 24.5, shake_mm: 6.25 }; 3] };
         let kind = Kind::Schedule { schedule: schedule.clone() };
-        Policy { manifest: Manifest::of_untrained(kind, Rules::PAPER, 0), controller: Controller::Schedule(schedule) }
+        Policy {
+            manifest: Manifest::of_untrained(kind, Rules::PAPER, 0),
+            controller: Controller::Schedule(schedule),
+        }
     }
 
     fn dispensing() -> Policy {
@@ -204,7 +226,10 @@ mod tests {
     }
 
     fn rivals() -> [Policy; 3] {
-        let policy = |kind, controller| Policy { manifest: Manifest::of_untrained(kind, Rules::FLIP, 0), controller };
+        let policy = |kind, controller| Policy {
+            manifest: Manifest::of_untrained(kind, Rules::FLIP, 0),
+            controller,
+        };
         [
             policy(Kind::Pid { gains: Pid::CHOSEN }, Controller::Pid(Pid::CHOSEN)),
             policy(Kind::Fuzzy { fuzzy: Fuzzy::CHOSEN }, Controller::Fuzzy(Fuzzy::CHOSEN)),
@@ -214,7 +239,9 @@ mod tests {
 
     #[test]
     fn a_policy_reads_back_exactly_and_its_id_is_its_content() {
-        for policy in [learned(), recurrent(), scheduled(), dispensing()].into_iter().chain(rivals()) {
+        for policy in
+            [learned(), recurrent(), scheduled(), dispensing()].into_iter().chain(rivals())
+        {
             let bytes = encode(&policy);
             assert_eq!(decode(&bytes).unwrap(), policy);
             assert_eq!(encode(&policy), bytes);
@@ -226,7 +253,8 @@ mod tests {
     #[test]
     fn a_manifest_that_does_not_fit_its_tensors_is_refused() {
         let mut policy = learned();
-        policy.manifest.kind = Kind::Learned { encoding: crate::Encoding::Missing, widths: vec![4, 64, 4] };
+        policy.manifest.kind =
+            Kind::Learned { encoding: crate::Encoding::Missing, widths: vec![4, 64, 4] };
         assert!(matches!(decode(&encode(&policy)), Err(ArtifactError::Tensors(_))));
         let refusal = |hidden| {
             let mut policy = recurrent();
@@ -237,17 +265,25 @@ mod tests {
         assert!(refusal(0).contains("`hidden`") && refusal(usize::MAX).contains("`hidden`"));
         let mut policy = recurrent();
         policy.manifest.kind = learned().manifest.kind;
-        assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("6 tensors expected, found 14"));
+        assert!(
+            decode(&encode(&policy))
+                .unwrap_err()
+                .to_string()
+                .contains("6 tensors expected, found 14")
+        );
         let mut policy = scheduled();
         policy.manifest.kind = Kind::Schedule { schedule: Schedule { steps: vec![] } };
         assert!(matches!(decode(&encode(&policy)), Err(ArtifactError::Manifest(_))));
         let mut policy = dispensing();
-        policy.manifest.kind = Kind::Dispenser { response: Response { bend: -1.0, ..Response::FITTED } };
+        policy.manifest.kind =
+            Kind::Dispenser { response: Response { bend: -1.0, ..Response::FITTED } };
         assert!(decode(&encode(&policy)).unwrap_err().to_string().contains("bend"));
         let [mut pid, mut fuzzy, mut paced] = rivals();
-        pid.manifest.kind = Kind::Pid { gains: Pid { shake: Gains { p: 11.0, i: 0.0, d: 0.0 }, ..Pid::CHOSEN } };
+        pid.manifest.kind =
+            Kind::Pid { gains: Pid { shake: Gains { p: 11.0, i: 0.0, d: 0.0 }, ..Pid::CHOSEN } };
         assert!(decode(&encode(&pid)).unwrap_err().to_string().contains("shake.p"));
-        fuzzy.manifest.kind = Kind::Fuzzy { fuzzy: Fuzzy { missing_mg: [3.0, 2.0, 4.0], ..Fuzzy::CHOSEN } };
+        fuzzy.manifest.kind =
+            Kind::Fuzzy { fuzzy: Fuzzy { missing_mg: [3.0, 2.0, 4.0], ..Fuzzy::CHOSEN } };
         assert!(decode(&encode(&fuzzy)).unwrap_err().to_string().contains("missing_mg"));
         paced.manifest.kind = Kind::Paced { paced: Paced { pace_mg: -1.0, ..Paced::CHOSEN } };
         assert!(decode(&encode(&paced)).unwrap_err().to_string().contains("pace_mg"));
@@ -260,7 +296,10 @@ mod tests {
     fn text_and_truncated_files_are_refused_with_the_reason() {
         let bytes = encode(&learned());
         for cut in [0, 7, 100, bytes.len() - 1] {
-            assert!(matches!(decode(&bytes[..cut]), Err(ArtifactError::NotSafetensors(_))), "cut at {cut}");
+            assert!(
+                matches!(decode(&bytes[..cut]), Err(ArtifactError::NotSafetensors(_))),
+                "cut at {cut}"
+            );
         }
         assert!(decode(b"not a policy, only text").is_err());
         let foreign = safetensors::serialize(Vec::<(&str, TensorView)>::new(), None).unwrap();

@@ -72,7 +72,8 @@ impl Schedule {
         let mut pitch = 0.0f64;
         let mut done = 0;
         for step in &self.steps {
-            let needed = ((step.pitch_deg - pitch).abs() / INCLINE_CHANGE_DEG_MAX).ceil().max(1.0) as u32;
+            let needed =
+                ((step.pitch_deg - pitch).abs() / INCLINE_CHANGE_DEG_MAX).ceil().max(1.0) as u32;
             done += needed;
             pitch = step.pitch_deg;
             if steps < done {
@@ -90,13 +91,21 @@ impl Controller {
         match self {
             Self::Learned(actor) => actor.is_memoryless(),
             Self::Fixed(_) => true,
-            Self::Schedule(_) | Self::Dispenser(_) | Self::Pid(_) | Self::Fuzzy(_) | Self::Paced(_) => false,
+            Self::Schedule(_)
+            | Self::Dispenser(_)
+            | Self::Pid(_)
+            | Self::Fuzzy(_)
+            | Self::Paced(_) => false,
         }
     }
 
     /// An untrained network, by seed: the baseline for learning.
     pub fn untrained(seed: u64) -> Self {
-        Self::Learned(Actor::untrained(Encoding::Missing, &[128, 128], &mut Pcg64Mcg::seed_from_u64(seed)))
+        Self::Learned(Actor::untrained(
+            Encoding::Missing,
+            &[128, 128],
+            &mut Pcg64Mcg::seed_from_u64(seed),
+        ))
     }
 
     /// Starts the controller for a weighing within these rules, on a balance with a display step of
@@ -111,7 +120,14 @@ impl Controller {
             | Self::Fuzzy(_)
             | Self::Paced(_) => Carried::default(),
         };
-        Dosing { controller: self, rules: *rules, readability_mg, done: Vec::new(), proposed: None, carried }
+        Dosing {
+            controller: self,
+            rules: *rules,
+            readability_mg,
+            done: Vec::new(),
+            proposed: None,
+            carried,
+        }
     }
 }
 
@@ -162,7 +178,9 @@ impl Dosing<'_> {
             Controller::Learned(actor) => actor.act(seen, &mut self.carried),
             Controller::Fixed(step) => step.approach(seen.pitch_deg),
             Controller::Schedule(schedule) => schedule.step(steps).approach(seen.pitch_deg),
-            Controller::Dispenser(dispenser) => dispenser.propose(&self.done, seen, &self.rules, self.readability_mg),
+            Controller::Dispenser(dispenser) => {
+                dispenser.propose(&self.done, seen, &self.rules, self.readability_mg)
+            }
             Controller::Pid(pid) => pid.propose(&self.done, seen),
             Controller::Fuzzy(fuzzy) => fuzzy.propose(&self.done, seen),
             Controller::Paced(paced) => paced.propose(&self.done, seen, &self.rules),
@@ -183,7 +201,8 @@ mod tests {
         let mut dosing = controller.begin(&Rules::FLIP, 1.0);
         (0..steps)
             .map(|_| {
-                let action = dosing.propose(&Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg });
+                let action =
+                    dosing.propose(&Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg });
                 pitch_deg += action.incline_change_deg;
                 (pitch_deg, action.shake_mm)
             })
@@ -201,24 +220,43 @@ mod tests {
         let step = |pitch_deg, shake_mm| ScheduledStep { pitch_deg, shake_mm };
         let schedule = Schedule { steps: vec![step(12.0, 5.0), step(14.0, 4.0), step(30.0, 3.0)] };
         let done = carry_out(&Controller::Schedule(schedule), 7);
-        assert_eq!(done, [(8.0, 0.0), (12.0, 5.0), (14.0, 4.0), (22.0, 0.0), (30.0, 3.0), (30.0, 3.0), (30.0, 3.0)]);
+        assert_eq!(
+            done,
+            [
+                (8.0, 0.0),
+                (12.0, 5.0),
+                (14.0, 4.0),
+                (22.0, 0.0),
+                (30.0, 3.0),
+                (30.0, 3.0),
+                (30.0, 3.0)
+            ]
+        );
     }
 
     #[test]
     fn a_weighing_taken_up_in_its_middle_goes_on_as_if_it_had_not_been_left() {
         let seen = |reading_mg, pitch_deg| Observation { reading_mg, target_mg: 15.0, pitch_deg };
-        let course = [seen(0.0, 0.0), seen(0.0, 8.0), seen(3.0, 16.0), seen(4.0, 20.0), seen(9.0, 22.0)];
+        let course =
+            [seen(0.0, 0.0), seen(0.0, 8.0), seen(3.0, 16.0), seen(4.0, 20.0), seen(9.0, 22.0)];
         let step = |pitch_deg, shake_mm| ScheduledStep { pitch_deg, shake_mm };
         let schedule = Schedule { steps: vec![step(12.0, 5.0), step(30.0, 4.0), step(40.0, 3.0)] };
         let paced = Controller::Paced(Paced::CHOSEN);
-        for controller in
-            [Controller::Schedule(schedule), Controller::Pid(Pid::CHOSEN), Controller::Fuzzy(Fuzzy::CHOSEN), paced]
-        {
+        for controller in [
+            Controller::Schedule(schedule),
+            Controller::Pid(Pid::CHOSEN),
+            Controller::Fuzzy(Fuzzy::CHOSEN),
+            paced,
+        ] {
             let mut whole = controller.begin(&Rules::FLIP, 1.0);
             let actions = course.map(|seen| whole.propose(&seen));
             let mut taken_up = controller.begin(&Rules::FLIP, 1.0);
             for k in 0..3 {
-                taken_up.resume(Done { before: course[k], action: actions[k], after: course[k + 1] });
+                taken_up.resume(Done {
+                    before: course[k],
+                    action: actions[k],
+                    after: course[k + 1],
+                });
             }
             assert_eq!([taken_up.propose(&course[3]), taken_up.propose(&course[4])], actions[3..]);
         }
@@ -227,10 +265,15 @@ mod tests {
     #[test]
     fn untrained_controllers_differ_by_seed_and_stay_in_range() {
         let seen = Observation { reading_mg: 0.0, target_mg: 10.0, pitch_deg: 0.0 };
-        let actions: Vec<Action> =
-            (0..3).map(|seed| Controller::untrained(seed).begin(&Rules::FLIP, 1.0).propose(&seen)).collect();
+        let actions: Vec<Action> = (0..3)
+            .map(|seed| Controller::untrained(seed).begin(&Rules::FLIP, 1.0).propose(&seen))
+            .collect();
         assert_ne!(actions[0], actions[1]);
         assert_eq!(actions[2], Controller::untrained(2).begin(&Rules::FLIP, 1.0).propose(&seen));
-        assert!(actions.iter().all(|a| a.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&a.shake_mm)));
+        assert!(
+            actions
+                .iter()
+                .all(|a| a.incline_change_deg.abs() <= 8.0 && (0.0..=16.0).contains(&a.shake_mm))
+        );
     }
 }

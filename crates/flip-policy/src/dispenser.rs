@@ -82,7 +82,13 @@ impl Dispenser {
     }
 
     /// Returns the action after these steps.
-    pub(super) fn propose(&self, done: &[Done], seen: &Observation, rules: &Rules, readability_mg: f64) -> Action {
+    pub(super) fn propose(
+        &self,
+        done: &[Done],
+        seen: &Observation,
+        rules: &Rules,
+        readability_mg: f64,
+    ) -> Action {
         let guesses = self.resampled(&self.weights(done, readability_mg));
         let moment = Moment {
             pitch_deg: seen.pitch_deg,
@@ -97,13 +103,15 @@ impl Dispenser {
             },
         };
         let change = |change: f64| {
-            let pitch = (seen.pitch_deg + change).clamp(rules.pitch.lower_deg, rules.pitch.upper_deg);
+            let pitch =
+                (seen.pitch_deg + change).clamp(rules.pitch.lower_deg, rules.pitch.upper_deg);
             pitch - seen.pitch_deg
         };
-        let actions = CHANGES_DEG
-            .iter()
-            .flat_map(|by| SHAKES_MM.map(|shake_mm| Action { incline_change_deg: change(*by), shake_mm }));
-        let rated = actions.map(|action| (self.expected_loss(&guesses, moment, action, rules), action));
+        let actions = CHANGES_DEG.iter().flat_map(|by| {
+            SHAKES_MM.map(|shake_mm| Action { incline_change_deg: change(*by), shake_mm })
+        });
+        let rated =
+            actions.map(|action| (self.expected_loss(&guesses, moment, action, rules), action));
         rated.min_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(Action::default, |(_, action)| action)
     }
 
@@ -113,8 +121,12 @@ impl Dispenser {
         let log = |guess: &Spoonful| -> f64 {
             let shakes = done.iter().filter(|step| step.action.executed_shake_mm() > 0.0);
             let one = |step: &Done| {
-                let mean =
-                    guess.mean_mg(r, step.after.pitch_deg, step.action.shake_mm, step.before.reading_mg.max(0.0));
+                let mean = guess.mean_mg(
+                    r,
+                    step.after.pitch_deg,
+                    step.action.shake_mm,
+                    step.before.reading_mg.max(0.0),
+                );
                 let gained = step.after.reading_mg - step.before.reading_mg;
                 let [more, variance] = r.moments(mean);
                 // Rounding variance of the difference of two readings.
@@ -145,9 +157,21 @@ impl Dispenser {
     }
 
     /// Mean loss of an action over the guesses, each simulated to the end.
-    fn expected_loss(&self, guesses: &[Spoonful], now: Moment, action: Action, rules: &Rules) -> f64 {
+    fn expected_loss(
+        &self,
+        guesses: &[Spoonful],
+        now: Moment,
+        action: Action,
+        rules: &Rules,
+    ) -> f64 {
         let play = |(j, guess): (usize, &Spoonful)| {
-            let mut moment = self.after(guess, now, now.pitch_deg + action.incline_change_deg, action.shake_mm, j);
+            let mut moment = self.after(
+                guess,
+                now,
+                now.pitch_deg + action.incline_change_deg,
+                action.shake_mm,
+                j,
+            );
             while moment.left > 0 && moment.missing_mg >= now.ends_mg {
                 let (pitch_deg, shake_mm) = self.usual(guess, &moment, rules);
                 moment = self.after(guess, moment, pitch_deg, shake_mm, j);
@@ -158,7 +182,14 @@ impl Dispenser {
     }
 
     /// One simulated step; the `j`-th rollout draws the same numbers whatever its actions.
-    fn after(&self, guess: &Spoonful, now: Moment, pitch_deg: f64, shake_mm: f64, j: usize) -> Moment {
+    fn after(
+        &self,
+        guess: &Spoonful,
+        now: Moment,
+        pitch_deg: f64,
+        shake_mm: f64,
+        j: usize,
+    ) -> Moment {
         let mean = guess.mean_mg(&self.response, pitch_deg, shake_mm, now.poured_mg);
         let z = quantile(radical_inverse(j + 1, PRIMES[now.left as usize % PRIMES.len()]));
         let mass = if mean > 0.0 { self.response.draw(mean, z) } else { 0.0 };
@@ -215,8 +246,10 @@ const NODES: usize = 16;
 
 impl Aims {
     fn new(r: &Response) -> Self {
-        let nodes: Vec<f64> = (0..NODES).map(|k| quantile((k as f64 + 0.5) / NODES as f64)).collect();
-        let means: Vec<f64> = (0..MEANS).map(|k| 0.1 * libm::pow(250.0, k as f64 / (MEANS - 1) as f64)).collect();
+        let nodes: Vec<f64> =
+            (0..NODES).map(|k| quantile((k as f64 + 0.5) / NODES as f64)).collect();
+        let means: Vec<f64> =
+            (0..MEANS).map(|k| 0.1 * libm::pow(250.0, k as f64 / (MEANS - 1) as f64)).collect();
         let masses: Vec<Vec<f64>> =
             means.iter().map(|mean| nodes.iter().map(|z| r.draw(*mean, *z)).collect()).collect();
         let missing = |cell: usize| cell as f64 * GRID_MG;
@@ -229,7 +262,10 @@ impl Aims {
                 let tried = means.iter().zip(&masses).map(|(mean, masses)| {
                     (masses.iter().map(|mass| value(m - mass)).sum::<f64>() / NODES as f64, *mean)
                 });
-                tried.chain([(r.loss(m), 0.0)]).min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((r.loss(m), 0.0))
+                tried
+                    .chain([(r.loss(m), 0.0)])
+                    .min_by(|a, b| a.0.total_cmp(&b.0))
+                    .unwrap_or((r.loss(m), 0.0))
             };
             let chosen: Vec<(f64, f64)> = (0..CELLS).map(best).collect();
             table.push(chosen.iter().map(|it| it.1).collect());

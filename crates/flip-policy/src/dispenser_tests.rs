@@ -11,7 +11,13 @@ struct Dosed {
 }
 
 /// Doses from a spoon that obeys the model, with a balance that shows whole milligrams.
-fn dose(controller: &Controller, spoon: &Spoonful, target_mg: f64, steps_max: u32, seed: usize) -> Dosed {
+fn dose(
+    controller: &Controller,
+    spoon: &Spoonful,
+    target_mg: f64,
+    steps_max: u32,
+    seed: usize,
+) -> Dosed {
     let rules = Rules { steps_max, ..Rules::FLIP };
     let mut dosing = controller.begin(&rules, 1.0);
     let (mut pitch_deg, mut poured_mg) = (0.0, 0.0f64);
@@ -52,7 +58,10 @@ fn what_is_let_go_of_is_the_formula() {
     assert!((EASY.mean_mg(&FITTED, 20.0, 4.0, 5.0) - (loose - 5.0) * share).abs() < 1e-9);
     assert_eq!(EASY.mean_mg(&FITTED, 20.0, 4.0, loose + 1.0), 0.0, "nothing is loose any more");
     assert_eq!(EASY.mean_mg(&FITTED, 20.0, 0.0, 0.0), 0.0, "without a shake nothing falls");
-    assert!(HARD.loose_mg(&FITTED, 5.0, 16.0) < 1e-9 && HARD.loose_mg(&FITTED, 60.0, 16.0) == FITTED.held_mg);
+    assert!(
+        HARD.loose_mg(&FITTED, 5.0, 16.0) < 1e-9
+            && HARD.loose_mg(&FITTED, 60.0, 16.0) == FITTED.held_mg
+    );
     // The pitch for a given mean is the inverse.
     for (guess, mean, poured) in [(EASY, 2.0, 3.0), (HARD, 0.4, 9.0)] {
         let pitch = guess.pitch_for(&FITTED, USUAL_MM, mean, poured);
@@ -80,7 +89,8 @@ fn guesses_have_the_moments_and_correlations_they_are_drawn_from() {
             .map(|g| (g.stroke_mm.ln() - FITTED.ln_stroke_mm[0]) / FITTED.ln_stroke_mm[1])
             .collect(),
     ];
-    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>() / a.len() as f64;
+    let product =
+        |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>() / a.len() as f64;
     for column in &columns {
         assert!(column.iter().sum::<f64>().abs() / (GUESSES as f64) < 0.05);
         assert!((product(column, column) - 1.0).abs() < 0.1);
@@ -103,32 +113,38 @@ fn what_the_balance_shows_tells_one_spoon_from_another() {
     };
     let expected = |done: &[Done]| {
         let weights = dispenser.weights(done, 1.0);
-        let next = dispenser
-            .guesses
-            .iter()
-            .map(|g| g.mean_mg(&FITTED, 16.0, 8.0, done.last().map_or(0.0, |d| d.after.reading_mg)));
+        let next = dispenser.guesses.iter().map(|g| {
+            g.mean_mg(&FITTED, 16.0, 8.0, done.last().map_or(0.0, |d| d.after.reading_mg))
+        });
         weights.iter().zip(next).map(|(w, m)| w * m).sum::<f64>() / weights.iter().sum::<f64>()
     };
     let [nothing, little, much] = [0.0, 1.0, 6.0].map(|mg| expected(&[shaken(0.0, mg)]));
     assert!(nothing < little && little < much, "{nothing} {little} {much}");
     // Without a shake nothing is learned.
-    let still = Done { action: Action { incline_change_deg: 8.0, shake_mm: 0.0 }, ..shaken(0.0, 0.0) };
+    let still =
+        Done { action: Action { incline_change_deg: 8.0, shake_mm: 0.0 }, ..shaken(0.0, 0.0) };
     assert!(dispenser.weights(&[still], 1.0).iter().all(|w| *w == 1.0));
     // However unlikely the reading, the weights remain finite.
-    assert!(dispenser.weights(&[shaken(0.0, 1e6), shaken(1e6, 0.0)], 1.0).iter().all(|w| w.is_finite()));
+    assert!(
+        dispenser.weights(&[shaken(0.0, 1e6), shaken(1e6, 0.0)], 1.0).iter().all(|w| w.is_finite())
+    );
 }
 
 #[test]
 fn aims_shrink_with_the_steps_left_and_meet_a_brute_force_search() {
     let aims = Aims::new(&FITTED);
     assert_eq!((aims.of(3, 0.0), aims.of(3, -2.0)), (0.0, 0.0));
-    assert!((1..9).all(|left| aims.of(left, 10.0) >= aims.of(left + 1, 10.0) - 1e-9), "more steps, smaller bites");
+    assert!(
+        (1..9).all(|left| aims.of(left, 10.0) >= aims.of(left + 1, 10.0) - 1e-9),
+        "more steps, smaller bites"
+    );
     // The last step by brute force: the mean with the least expected loss over many draws.
     let loss = |mean: f64| {
         let draw = |k: usize| FITTED.draw(mean, quantile((k as f64 + 0.5) / 4000.0));
         (0..4000).map(|k| FITTED.loss(10.0 - draw(k))).sum::<f64>() / 4000.0
     };
-    let best = (1..=400).map(|k| k as f64 * 0.05).min_by(|a, b| loss(*a).total_cmp(&loss(*b))).unwrap();
+    let best =
+        (1..=400).map(|k| k as f64 * 0.05).min_by(|a, b| loss(*a).total_cmp(&loss(*b))).unwrap();
     assert!(loss(aims.of(1, 10.0)) < loss(best) * 1.03, "{} against {best}", aims.of(1, 10.0));
 }
 
@@ -157,8 +173,12 @@ fn it_climbs_to_where_a_hard_spoon_lets_go_and_takes_its_time_when_it_has_more()
     let dispenser = dispenser();
     let dosed = dose(&dispenser, &HARD, 10.0, 10, 1);
     assert!(dosed.pitches_deg.iter().any(|deg| *deg > 20.0), "{:?}", dosed.pitches_deg);
-    let mean =
-        |steps_max| (0..8).map(|seed| dose(&dispenser, &EASY, 15.0, steps_max, seed).error_mg.abs()).sum::<f64>() / 8.0;
+    let mean = |steps_max| {
+        (0..8)
+            .map(|seed| dose(&dispenser, &EASY, 15.0, steps_max, seed).error_mg.abs())
+            .sum::<f64>()
+            / 8.0
+    };
     let (hurried, patient) = (mean(4), mean(20));
     assert!(patient < hurried, "{patient} with 20 steps, {hurried} with 4");
 }

@@ -31,15 +31,18 @@ pub struct Rules {
 
 impl Rules {
     /// The published robot's rules: exactly 10 steps, pitch from -10 to 36 deg.
-    pub const PAPER: Self = Self { steps_max: 10, ending: Ending::Never, pitch: PitchLimits::PAPER };
+    pub const PAPER: Self =
+        Self { steps_max: 10, ending: Ending::Never, pitch: PitchLimits::PAPER };
     /// FLIP's rules: at most 10 steps, stops on target, and a pitch range in which cohesive powders
     /// still leave the spoon.
-    pub const FLIP: Self = Self { steps_max: 10, ending: Ending::OnTarget, pitch: PitchLimits::WIDE };
+    pub const FLIP: Self =
+        Self { steps_max: 10, ending: Ending::OnTarget, pitch: PitchLimits::WIDE };
 
     /// The state of a weighing after `steps` steps with this observation, on a balance of this
     /// readability.
     pub fn after(&self, steps: u32, observation: &Observation, readability_mg: f64) -> Episode {
-        if self.ending == Ending::OnTarget && is_on_target(observation.missing_mg(), readability_mg) {
+        if self.ending == Ending::OnTarget && is_on_target(observation.missing_mg(), readability_mg)
+        {
             return Episode::Terminated;
         }
         if steps >= self.steps_max { Episode::TimedOut } else { Episode::Running }
@@ -89,8 +92,16 @@ mod tests {
             (9.0, 10, Episode::TimedOut, Episode::TimedOut),
             (9.5, 10, Episode::Terminated, Episode::TimedOut),
         ] {
-            assert_eq!(Rules::FLIP.after(steps, &seen(reading), 1.0), ours, "{reading} mg after {steps}");
-            assert_eq!(Rules::PAPER.after(steps, &seen(reading), 1.0), papers, "{reading} mg after {steps}");
+            assert_eq!(
+                Rules::FLIP.after(steps, &seen(reading), 1.0),
+                ours,
+                "{reading} mg after {steps}"
+            );
+            assert_eq!(
+                Rules::PAPER.after(steps, &seen(reading), 1.0),
+                papers,
+                "{reading} mg after {steps}"
+            );
         }
     }
 

@@ -69,7 +69,9 @@ impl Fuzzy {
     /// The first field that does not.
     pub fn checked(self) -> Result<Self, FieldError> {
         let rising = |field: &str, values: &[f64], lower: f64, upper: f64, unit: &str| {
-            values.iter().try_for_each(|value| bounded(field, *value, lower, upper, unit).map(|_| ()))?;
+            values
+                .iter()
+                .try_for_each(|value| bounded(field, *value, lower, upper, unit).map(|_| ()))?;
             match values.windows(2).all(|pair| pair[0] < pair[1]) {
                 true => Ok(()),
                 false => Err(FieldError::new(field, "must rise from each number to the next")),
@@ -95,7 +97,10 @@ impl Fuzzy {
                 .map(|(m, f)| missing[m] * fall[f] * self.tilt_deg[TILT[m][f]])
                 .sum::<f64>()
                 .clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX),
-            shake_mm: (0..3).map(|m| missing[m] * self.shake_mm[m]).sum::<f64>().clamp(0.0, SHAKE_MM_MAX),
+            shake_mm: (0..3)
+                .map(|m| missing[m] * self.shake_mm[m])
+                .sum::<f64>()
+                .clamp(0.0, SHAKE_MM_MAX),
         }
     }
 }
@@ -128,8 +133,10 @@ mod tests {
     /// The controller's answer for this missing mass and this fall in the last shake.
     fn answer(fuzzy: &Fuzzy, missing_mg: f64, fall_mg: f64) -> Action {
         let action = Action { incline_change_deg: 0.0, shake_mm: 5.0 };
-        fuzzy
-            .propose(&[Done { before: seen(missing_mg + fall_mg), action, after: seen(missing_mg) }], &seen(missing_mg))
+        fuzzy.propose(
+            &[Done { before: seen(missing_mg + fall_mg), action, after: seen(missing_mg) }],
+            &seen(missing_mg),
+        )
     }
 
     #[test]
@@ -148,16 +155,24 @@ mod tests {
         // Half small, half medium; three quarters none, one quarter some: 0.375 on, 0.125 hold,
         // 0.375 far, 0.125 on.
         let action = answer(&PLAIN, 3.0, 0.5);
-        assert!((action.incline_change_deg - (0.375 * 4.0 + 0.375 * 8.0 + 0.125 * 4.0)).abs() < 1e-12);
+        assert!(
+            (action.incline_change_deg - (0.375 * 4.0 + 0.375 * 8.0 + 0.125 * 4.0)).abs() < 1e-12
+        );
         assert!((action.shake_mm - 4.0).abs() < 1e-12);
     }
 
     #[test]
     fn only_a_step_that_shook_says_what_falls() {
-        let shook =
-            Done { before: seen(18.0), action: Action { incline_change_deg: 0.0, shake_mm: 5.0 }, after: seen(12.0) };
+        let shook = Done {
+            before: seen(18.0),
+            action: Action { incline_change_deg: 0.0, shake_mm: 5.0 },
+            after: seen(12.0),
+        };
         let tilted = Done { before: seen(12.0), action: Action::default(), after: seen(12.0) };
-        assert_eq!(PLAIN.propose(&[shook, tilted], &seen(12.0)), PLAIN.propose(&[shook], &seen(12.0)));
+        assert_eq!(
+            PLAIN.propose(&[shook, tilted], &seen(12.0)),
+            PLAIN.propose(&[shook], &seen(12.0))
+        );
         assert_ne!(PLAIN.propose(&[tilted], &seen(12.0)), PLAIN.propose(&[shook], &seen(12.0)));
         let first = Controller::Fuzzy(PLAIN).begin(&Rules::FLIP, 1.0).propose(&seen(20.0));
         assert_eq!(first, Action { incline_change_deg: 8.0, shake_mm: 14.0 });

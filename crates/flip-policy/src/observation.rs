@@ -138,13 +138,17 @@ mod tests {
     #[test]
     fn a_target_beyond_training_looks_like_the_largest_trained_one() {
         let at = |reading_mg, target_mg| {
-            Observation { reading_mg, target_mg, pitch_deg: 10.0 }.encode(Encoding::Missing, &Known::default())
+            Observation { reading_mg, target_mg, pitch_deg: 10.0 }
+                .encode(Encoding::Missing, &Known::default())
         };
         assert_eq!(at(0.0, 20.0), at(0.0, 15.0));
         assert_eq!(at(18.0, 20.0), at(15.5, 17.5), "near the end only what is missing counts");
         let known = Known { fell_mg: -3.0, repose_deg: Some(85.0) };
-        for encoding in [Encoding::Paper, Encoding::Missing, Encoding::Fall, Encoding::FallAndRepose] {
-            let inputs = Observation { reading_mg: 1e6, target_mg: 0.0, pitch_deg: 0.0 }.encode(encoding, &known);
+        for encoding in
+            [Encoding::Paper, Encoding::Missing, Encoding::Fall, Encoding::FallAndRepose]
+        {
+            let inputs = Observation { reading_mg: 1e6, target_mg: 0.0, pitch_deg: 0.0 }
+                .encode(encoding, &known);
             assert_eq!(inputs.len(), encoding.width());
             assert!(inputs.iter().all(|x| x.is_finite()));
         }
@@ -153,11 +157,16 @@ mod tests {
     #[test]
     fn the_last_fall_and_the_angle_come_after_what_is_missing() {
         let seen = Observation { reading_mg: 4.0, target_mg: 12.0, pitch_deg: 36.0 };
-        let of = |encoding, fell_mg, repose_deg| seen.encode(encoding, &Known { fell_mg, repose_deg });
-        let [missing, fall] = [Encoding::Missing, Encoding::Fall].map(|encoding| of(encoding, 0.9, Some(30.0)));
+        let of =
+            |encoding, fell_mg, repose_deg| seen.encode(encoding, &Known { fell_mg, repose_deg });
+        let [missing, fall] =
+            [Encoding::Missing, Encoding::Fall].map(|encoding| of(encoding, 0.9, Some(30.0)));
         assert_eq!(fall[..4], missing);
         // 81 and 10 tenths.
-        assert!((fall[4] - (81f32.ln() / 2.0 - 1.0)).abs() < 1e-6 && (fall[5] - (10f32.ln() / 2.0 - 1.0)).abs() < 1e-6);
+        assert!(
+            (fall[4] - (81f32.ln() / 2.0 - 1.0)).abs() < 1e-6
+                && (fall[5] - (10f32.ln() / 2.0 - 1.0)).abs() < 1e-6
+        );
         let all = of(Encoding::FallAndRepose, 0.9, Some(30.0));
         assert_eq!((&all[..6], all[6]), (&fall[..], -0.5));
         assert_eq!(of(Encoding::FallAndRepose, 0.9, None)[6], 0.0);

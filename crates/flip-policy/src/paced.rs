@@ -79,7 +79,9 @@ impl Paced {
     /// # Errors
     /// The first field that is out of bounds.
     pub fn checked(self) -> Result<Self, FieldError> {
-        self.gentle.checked().map_err(|e| FieldError::new(format!("gentle.{}", e.field), e.message))?;
+        self.gentle
+            .checked()
+            .map_err(|e| FieldError::new(format!("gentle.{}", e.field), e.message))?;
         bounded("gentle.tilt_deg", self.gentle.tilt_deg[2], 0.1, ON_DEG_MAX, "deg")?;
         bounded("pace_mg", self.pace_mg, 0.01, 1000.0, "mg")?;
         bounded("climb_deg", self.climb_deg, 1.0, 1000.0, "deg")?;
@@ -94,12 +96,16 @@ impl Paced {
         let rules = self.rules(seen.target_mg, frame.steps_max);
         let mut action = rules.propose(done, seen);
         if seen.reading_mg < PIECE_MG && !is_at_the_end(seen, frame) {
-            action.shake_mm = action.shake_mm.min(self.first_mm * self.faster(seen.target_mg, frame.steps_max));
+            action.shake_mm =
+                action.shake_mm.min(self.first_mm * self.faster(seen.target_mg, frame.steps_max));
         }
-        let Some(last) = done.iter().rfind(|step| step.action.executed_shake_mm() > 0.0) else { return action };
+        let Some(last) = done.iter().rfind(|step| step.action.executed_shake_mm() > 0.0) else {
+            return action;
+        };
         let fell_mg = last.after.reading_mg - last.before.reading_mg;
         let missing_mg = seen.missing_mg().max(0.0);
-        let needed_mg = missing_mg / f64::from(frame.steps_max.saturating_sub(done.len() as u32).max(1));
+        let needed_mg =
+            missing_mg / f64::from(frame.steps_max.saturating_sub(done.len() as u32).max(1));
         let factor = match fell_mg {
             _ if action.incline_change_deg < 0.0 || !is_at_the_end(seen, frame) => return action,
             fell if fell < needed_mg => self.harder,
@@ -183,7 +189,8 @@ mod tests {
         let seen = |reading_mg, pitch_deg| Observation { reading_mg, target_mg: 20.0, pitch_deg };
         let next = |shake_mm, before_mg, now_mg, pitch_deg| {
             let action = Action { incline_change_deg: 0.0, shake_mm };
-            let step = Done { before: seen(before_mg, pitch_deg), action, after: seen(now_mg, pitch_deg) };
+            let step =
+                Done { before: seen(before_mg, pitch_deg), action, after: seen(now_mg, pitch_deg) };
             Paced::CHOSEN.propose(&[step], &seen(now_mg, pitch_deg), &frame).shake_mm
         };
         let usual = next(2.0, 17.0, 17.0, 40.0);

@@ -47,8 +47,10 @@ impl Pid {
     /// Set by hand: 15 mg missing tilts by 5 deg and shakes by 7 mm, and the last fall holds the
     /// next tilt back. `cargo experiment tune_schedule -- sets.json 12 1 pid` searches
     /// for them.
-    pub const CHOSEN: Self =
-        Self { incline: Gains { p: 0.04, i: 0.0, d: 0.05 }, shake: Gains { p: 0.03, i: 0.0, d: 0.0 } };
+    pub const CHOSEN: Self = Self {
+        incline: Gains { p: 0.04, i: 0.0, d: 0.05 },
+        shake: Gains { p: 0.03, i: 0.0, d: 0.0 },
+    };
 
     /// Validates the rule: its gains must be within their bounds.
     ///
@@ -101,7 +103,10 @@ mod tests {
         let mut dosing = controller.begin(&Rules::FLIP, 1.0);
         let mut reading_mg = 0.0;
         for k in 0..12 {
-            assert!((10.0 - reading_mg - 10.0 * 0.8f64.powi(k)).abs() < 1e-9, "after {k} shakes {reading_mg} mg");
+            assert!(
+                (10.0 - reading_mg - 10.0 * 0.8f64.powi(k)).abs() < 1e-9,
+                "after {k} shakes {reading_mg} mg"
+            );
             let action = dosing.propose(&seen(reading_mg));
             assert_eq!(action.incline_change_deg, 0.0);
             reading_mg += 0.25 * action.shake_mm;
@@ -117,7 +122,10 @@ mod tests {
         let actions = [0.0, 3.0, 2.5].map(|reading| dosing.propose(&seen(reading)));
         let expected = [(0.1 * 8.0, 0.2 * 16.0), (0.17 * 8.0, 0.0), (0.245 * 8.0, 0.01 * 16.0)];
         for (action, (incline, shake)) in actions.iter().zip(expected) {
-            assert!((action.incline_change_deg - incline).abs() < 1e-12 && (action.shake_mm - shake).abs() < 1e-12);
+            assert!(
+                (action.incline_change_deg - incline).abs() < 1e-12
+                    && (action.shake_mm - shake).abs() < 1e-12
+            );
         }
         assert_eq!(dosing.propose(&seen(10.5)), Action::default());
     }

@@ -49,8 +49,9 @@ pub(super) fn tensors(inputs: usize, hidden: usize) -> Vec<(String, Vec<usize>)>
 /// Names and shapes of a perceptron's tensors: `layer<k>.weight` `[inputs, outputs]` and
 /// `layer<k>.bias`.
 pub(super) fn layers(widths: &[usize]) -> Vec<(String, Vec<usize>)> {
-    let of =
-        |(k, w): (usize, &[usize])| [(format!("layer{k}.weight"), w.to_vec()), (format!("layer{k}.bias"), vec![w[1]])];
+    let of = |(k, w): (usize, &[usize])| {
+        [(format!("layer{k}.weight"), w.to_vec()), (format!("layer{k}.bias"), vec![w[1]])]
+    };
     widths.windows(2).enumerate().flat_map(of).collect()
 }
 
@@ -95,7 +96,9 @@ impl Recurrent {
     /// Advances the LSTM by one step on its input `x`.
     fn advance(&self, x: &[f32], [h, c]: &mut [Vec<f32>; 2]) {
         let hidden = self.hidden();
-        let dot = |row: &[f32], x: &[f32]| row.iter().zip(x).map(|(&w, &x)| f64::from(w) * f64::from(x)).sum::<f64>();
+        let dot = |row: &[f32], x: &[f32]| {
+            row.iter().zip(x).map(|(&w, &x)| f64::from(w) * f64::from(x)).sum::<f64>()
+        };
         let [w, u, b, d] = &self.lstm;
         let gate = |k: usize| {
             let row = k * hidden..(k + 1) * hidden;

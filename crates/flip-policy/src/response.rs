@@ -77,9 +77,14 @@ impl Response {
         bounded("ln_slope_mg_deg", self.ln_slope_mg_deg[1], 0.0, 3.0, "")?;
         bounded("ln_stroke_mm", self.ln_stroke_mm[0], -3.0, 9.0, "")?;
         bounded("ln_stroke_mm", self.ln_stroke_mm[1], 0.0, 3.0, "")?;
-        self.correlations.iter().try_for_each(|c| bounded("correlations", *c, -0.99, 0.99, "").map(|_| ()))?;
+        self.correlations
+            .iter()
+            .try_for_each(|c| bounded("correlations", *c, -0.99, 0.99, "").map(|_| ()))?;
         if self.roots().iter().flatten().any(|root| root.is_nan()) {
-            return Err(FieldError::new("correlations", "are not those of any three numbers: bring them nearer to 0"));
+            return Err(FieldError::new(
+                "correlations",
+                "are not those of any three numbers: bring them nearer to 0",
+            ));
         }
         bounded("bend", self.bend, 0.05, 5.0, "")?;
         bounded("reach_deg", self.reach_deg, 0.0, 20.0, "deg")?;
@@ -130,13 +135,15 @@ impl Response {
     /// Returns `count` spoonfuls spread evenly over the prior: Halton's points, each coordinate a
     /// quantile.
     pub fn guesses(&self, count: usize) -> Vec<Spoonful> {
-        let guess = |k: usize| self.spoonful([2, 3, 5].map(|base| quantile(radical_inverse(k + 1, base))));
+        let guess =
+            |k: usize| self.spoonful([2, 3, 5].map(|base| quantile(radical_inverse(k + 1, base))));
         (0..count).map(guess).collect()
     }
 
     /// The spoonful `z` standard deviations from the means of onset, ln slope and ln stroke.
     pub fn spoonful(&self, z: [f64; 3]) -> Spoonful {
-        let [onset, slope, stroke] = self.roots().map(|row| (0..3).map(|j| row[j] * z[j]).sum::<f64>());
+        let [onset, slope, stroke] =
+            self.roots().map(|row| (0..3).map(|j| row[j] * z[j]).sum::<f64>());
         let of = |[mean, sd]: [f64; 2], by: f64| mean + sd * by;
         Spoonful {
             onset_deg: of(self.onset_deg, onset),
@@ -179,7 +186,13 @@ impl Spoonful {
     }
 
     /// The pitch at which such a shake has this mean, degrees.
-    pub(super) fn pitch_for(&self, r: &Response, shake_mm: f64, mean_mg: f64, poured_mg: f64) -> f64 {
+    pub(super) fn pitch_for(
+        &self,
+        r: &Response,
+        shake_mm: f64,
+        mean_mg: f64,
+        poured_mg: f64,
+    ) -> f64 {
         let loose = poured_mg + mean_mg / self.share(r, shake_mm);
         let y = loose.min(r.held_mg) / (self.slope_mg_deg * r.width_deg);
         let x = if y > 30.0 { y } else { libm::log(libm::expm1(y.max(1e-9))) };

@@ -78,7 +78,8 @@ mod tests {
 
     #[test]
     fn a_reading_taken_too_early_lags_and_says_so() {
-        let balance = Settings { wait_s: 0.16, noise_mg: 0.0, readability_mg: 0.1, ..Settings::default() };
+        let balance =
+            Settings { wait_s: 0.16, noise_mg: 0.0, readability_mg: 0.1, ..Settings::default() };
         let reading = balance.read(0.0, 10.0, 1, 1);
         assert!((reading.mass_mg - 10.0 * (1.0 - (-1.0f64).exp())).abs() < 0.051);
         assert!(!reading.stable);

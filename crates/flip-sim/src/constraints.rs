@@ -218,7 +218,8 @@ mod tests {
 
     #[test]
     fn an_overlap_is_pushed_apart_in_proportion_and_a_gap_is_left_alone() {
-        let push = |gap, opening| first(separate(splat(gap), splat(opening), splat(0.15), splat(0.25)));
+        let push =
+            |gap, opening| first(separate(splat(gap), splat(opening), splat(0.15), splat(0.25)));
         assert_eq!(push(0.01, 0.0), 0.0);
         assert!((push(-0.02, 0.0) - 0.003).abs() < 1e-9);
         assert!((push(-0.02, -0.01) - 0.0055).abs() < 1e-9, "an approach is slowed down");
@@ -256,13 +257,22 @@ mod tests {
         };
         assert!(at(0.0).abs() < 1e-9, "no force at gap zero: {}", at(0.0));
         for gap in [contact.onset, 0.02, 0.04, 0.0499] {
-            assert!((at(gap) + b * (1.0 - gap / 0.05)).abs() < 1e-8, "the ramp at {gap}: {}", at(gap));
+            assert!(
+                (at(gap) + b * (1.0 - gap / 0.05)).abs() < 1e-8,
+                "the ramp at {gap}: {}",
+                at(gap)
+            );
         }
     }
 
     const GRIP: Grip<f32> = Grip { stiffness: 0.1, looseness: 10.0, damping: 0.0, limit: 1.0 };
 
-    fn hold(offset: [f32; 3], anchor: [f32; 3], normal: [f32; 3], grip: Grip<f32>) -> ([f32; 3], [f32; 3]) {
+    fn hold(
+        offset: [f32; 3],
+        anchor: [f32; 3],
+        normal: [f32; 3],
+        grip: Grip<f32>,
+    ) -> ([f32; 3], [f32; 3]) {
         let grip = Grip {
             stiffness: splat(grip.stiffness),
             looseness: splat(grip.looseness),
@@ -270,7 +280,8 @@ mod tests {
             limit: splat(grip.limit),
         };
         let still = [0.0; 3].map(splat);
-        let held = stick(offset.map(splat), anchor.map(splat), still, normal.map(splat), splat(0.0), grip);
+        let held =
+            stick(offset.map(splat), anchor.map(splat), still, normal.map(splat), splat(0.0), grip);
         (firsts(held.correction), firsts(held.anchor))
     }
 
@@ -291,7 +302,8 @@ mod tests {
     #[test]
     fn friction_never_acts_along_the_normal() {
         let normal = [0.6, 0.0, 0.8];
-        let (held, _) = hold([0.3, -0.2, 0.9], [0.1, 0.1, 0.7], normal, Grip { limit: 10.0, ..GRIP });
+        let (held, _) =
+            hold([0.3, -0.2, 0.9], [0.1, 0.1, 0.7], normal, Grip { limit: 10.0, ..GRIP });
         assert!((held[0] * normal[0] + held[2] * normal[2]).abs() < 1e-7);
     }
 }

@@ -1,7 +1,9 @@
 //! All contacts, sixteen at a time: the sum of the constraints and the mechanisms.
 #![allow(clippy::inline_always)] // See `lanes`.
 
-use super::constraints::{Grip, V3, Vector, add, attract, choose, cross, inner, scale, separate, stick, sub};
+use super::constraints::{
+    Grip, V3, Vector, add, attract, choose, cross, inner, scale, separate, stick, sub,
+};
 use super::lanes::{Lanes, Mask, WIDTH};
 use super::law::Law;
 use super::mechanisms::{AtWall, Pair};
@@ -62,7 +64,12 @@ fn carry<L: Lanes>(velocity: V3<L>, anchor: V3<L>, spins: V3<L>, normal: V3<L>) 
 /// Solves the contacts of all listed pairs. Impulses on the two grains of a pair are exactly
 /// opposite.
 #[inline(always)]
-pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Pairs, law: &Law, at: Predicted, sums: &mut Sums) {
+pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(
+    list: &mut Pairs,
+    law: &Law,
+    at: Predicted,
+    sums: &mut Sums,
+) {
     let c = &law.grain;
     let (one, zero) = (L::splat(1.0), L::splat(0.0));
     let reach = if EXTENDED { c.reach.max(law.mechanisms.pair_reach()) } else { c.reach };
@@ -124,7 +131,11 @@ pub(super) fn pairs<L: Lanes, const EXTENDED: bool>(list: &mut Pairs, law: &Law,
             push = separate(gap, opening, L::splat(c.normal), L::splat(c.normal_damping) * share);
             push = L::select(touch, push, zero);
             let kept = &mut anchor[row];
-            let mut stuck = choose(touching[row], [L::load(&kept[0]), L::load(&kept[1]), L::load(&kept[2])], offset);
+            let mut stuck = choose(
+                touching[row],
+                [L::load(&kept[0]), L::load(&kept[1]), L::load(&kept[2])],
+                offset,
+            );
             if EXTENDED {
                 #[allow(unsafe_code)]
                 // SAFETY: as above.
@@ -274,7 +285,8 @@ pub(super) fn wall<L: Lanes, const EXTENDED: bool>(
         };
         law.mechanisms.wall(&mut contact);
         pull = pull + contact.pull;
-        turn.torque = add(turn.torque, add(scale(cross(normal, held), turn.radius), contact.torque));
+        turn.torque =
+            add(turn.torque, add(scale(cross(normal, held), turn.radius), contact.torque));
         L::write_rows([stretch[0], stretch[1], stretch[2], clings], stretches);
     }
     let along = choose(near, scale(normal, push - pull), [zero; 3]);

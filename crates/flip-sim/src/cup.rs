@@ -59,7 +59,8 @@ impl Cup {
 /// # Errors
 /// [`Refusal`] if the solver diverged.
 pub(super) fn flow(set: &ParameterSet, orifice: f64, seed: u64) -> Result<f64, Refusal> {
-    let mut cup = Cup::open(set, [0.5 * orifice, (0.8 * orifice).max(8.0), 1.2 * orifice + 4.0], seed);
+    let mut cup =
+        Cup::open(set, [0.5 * orifice, (0.8 * orifice).max(8.0), 1.2 * orifice + 4.0], seed);
     let all = cup.grains.centres().len() as f64;
     let fall = fall_time(&cup.law);
     let patience = (PATIENCE * fall) as u32;

@@ -30,7 +30,9 @@ pub fn directions(set: &ParameterSet) -> [f64; DIRECTIONS] {
         "particle_diameter_mm" | "gravity_scale" => p.lower,
         _ => p.upper,
     }));
-    let slowest = ParameterSet::new(PARAMETERS.map(|p| if p.key == "gravity_scale" { p.lower } else { p.upper }));
+    let slowest = ParameterSet::new(
+        PARAMETERS.map(|p| if p.key == "gravity_scale" { p.lower } else { p.upper }),
+    );
     let [mu, bond, wall_bond, reach, _] = numbers(&strongest.expect("bounds are within bounds"));
     let [.., loss] = numbers(&slowest.expect("bounds are within bounds"));
     [of[0] / mu, (of[1] / bond).sqrt(), (of[2] / wall_bond).sqrt(), of[3] / reach, of[4] / loss]
@@ -56,7 +58,9 @@ mod tests {
     use flip_core::domain::parameters::COUNT;
 
     fn set(changes: &[(&str, f64)]) -> ParameterSet {
-        changes.iter().fold(ParameterSet::default(), |set, (key, value)| set.with(key, *value).unwrap())
+        changes
+            .iter()
+            .fold(ParameterSet::default(), |set, (key, value)| set.with(key, *value).unwrap())
     }
 
     #[test]
@@ -65,16 +69,25 @@ mod tests {
             let at = ParameterSet::from_unit(std::array::from_fn(|k| f64::from(corner >> k & 1)));
             assert!(directions(&at).iter().all(|x| (0.0..=1.0 + 1e-12).contains(x)), "{at:?}");
         }
-        let largest = (0..1u32 << COUNT)
-            .map(|corner| directions(&ParameterSet::from_unit(std::array::from_fn(|k| f64::from(corner >> k & 1)))));
-        let largest = largest.fold([0.0f64; DIRECTIONS], |a, b| std::array::from_fn(|k| a[k].max(b[k])));
+        let largest = (0..1u32 << COUNT).map(|corner| {
+            directions(&ParameterSet::from_unit(std::array::from_fn(|k| {
+                f64::from(corner >> k & 1)
+            })))
+        });
+        let largest =
+            largest.fold([0.0f64; DIRECTIONS], |a, b| std::array::from_fn(|k| a[k].max(b[k])));
         assert!(largest.iter().all(|x| (x - 1.0).abs() < 1e-12), "{largest:?}");
         assert_eq!(directions(&ParameterSet::from_unit([0.0; COUNT])), [0.0; DIRECTIONS]);
     }
 
     #[test]
     fn sets_with_the_same_numbers_have_the_same_dimensionless_law() {
-        let ours = set(&[("cohesion", 0.4), ("adhesion", 0.5), ("particle_adhesion_scale", 0.8), ("damping", 0.6)]);
+        let ours = set(&[
+            ("cohesion", 0.4),
+            ("adhesion", 0.5),
+            ("particle_adhesion_scale", 0.8),
+            ("damping", 0.6),
+        ]);
         // 0.4 * 0.4 + 0.1 * 0.5 * 0.8 = 0.4 * 0.35 + 0.1 * 0.5 * 1.2, at another gravity, diameter
         // and mass.
         let small = |d: f64, g: f64| (0.27f64 / d).powi(2) / g;

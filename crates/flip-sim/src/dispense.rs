@@ -86,9 +86,11 @@ impl Settings {
     pub fn as_executed(self, calibration: &ShakeCalibration) -> Self {
         let limits = self.shake;
         let top_m_s = |executed_mm: f64| Move::new(executed_mm.max(0.0) * 1e-3, limits).top_m_s();
-        let pairs = calibration.shakes.iter().map(|it| (top_m_s(it.executed_mm), it.peak_mm_s * 1e-3));
-        let (both, squares) =
-            pairs.fold((0.0, 0.0), |(both, squares), (top, peak)| (both + peak * top, squares + top * top));
+        let pairs =
+            calibration.shakes.iter().map(|it| (top_m_s(it.executed_mm), it.peak_mm_s * 1e-3));
+        let (both, squares) = pairs.fold((0.0, 0.0), |(both, squares), (top, peak)| {
+            (both + peak * top, squares + top * top)
+        });
         // Shakes that were not executed carry no information about speed.
         let s = if both > 0.0 && squares > 0.0 { both / squares } else { 1.0 };
         let shake = MotionLimits {
@@ -205,8 +207,9 @@ impl Dispenser {
             }
             height += 1.15;
         }
-        let fall_s =
-            (2.0 * f64::from(height + self.bowl.semi_axes[2]) * self.law.diameter_m / super::law::GRAVITY).sqrt();
+        let fall_s = (2.0 * f64::from(height + self.bowl.semi_axes[2]) * self.law.diameter_m
+            / super::law::GRAVITY)
+            .sqrt();
         self.run(fall_s, |_| (Pose::default(), 0.0));
         self.rest(2.0 * self.settings.settle_max_s);
         (self.vial, self.spilled) = (0.0, 0.0);
@@ -216,7 +219,8 @@ impl Dispenser {
     /// the shake.
     pub fn step(&mut self, action: Action) -> Poured {
         let limits = self.settings.pitch;
-        let pitch = (self.pitch_deg + action.incline_change_deg).clamp(limits.lower_deg, limits.upper_deg);
+        let pitch =
+            (self.pitch_deg + action.incline_change_deg).clamp(limits.lower_deg, limits.upper_deg);
         self.carry_out(pitch, action.executed_shake_mm())
     }
 
@@ -247,7 +251,8 @@ impl Dispenser {
     /// Pitches at a speed that rises and falls smoothly: pitch(t) = p0 + dp (1 - cos(pi t / T))
     /// / 2.
     fn incline(&mut self, pitch_deg: f64) -> f64 {
-        let (start, change) = (self.pitch_deg.to_radians(), (pitch_deg - self.pitch_deg).to_radians());
+        let (start, change) =
+            (self.pitch_deg.to_radians(), (pitch_deg - self.pitch_deg).to_radians());
         let duration = (pitch_deg - self.pitch_deg).abs() / self.settings.pitch_deg_s;
         self.run(duration, |t| {
             let share = (1.0 - libm::cos(std::f64::consts::PI * (t / duration).min(1.0))) / 2.0;
@@ -263,7 +268,11 @@ impl Dispenser {
         let (half, pitch_rad) = (stroke.duration_s(), self.pitch_deg.to_radians());
         let (mut shift_m, mut shift_m_s, dt) = (0.0, 0.0, self.law.substep_s);
         self.run(2.0 * half, |t| {
-            let a = if t < half { stroke.acceleration_m_s2(t) } else { -stroke.acceleration_m_s2(t - half) };
+            let a = if t < half {
+                stroke.acceleration_m_s2(t)
+            } else {
+                -stroke.acceleration_m_s2(t - half)
+            };
             shift_m_s += a * dt;
             shift_m += shift_m_s * dt;
             (Pose { pitch_rad, shift_m, shift_m_s }, a)
@@ -290,7 +299,8 @@ impl Dispenser {
     fn run(&mut self, duration_s: f64, mut motion: impl FnMut(f64) -> (Pose, f64)) {
         for substep in 0..self.law.substeps(duration_s) {
             let (pose, acceleration) = motion(f64::from(substep) * self.law.substep_s);
-            let inertia = acceleration * self.law.substep_s * self.law.substep_s / self.law.diameter_m;
+            let inertia =
+                acceleration * self.law.substep_s * self.law.substep_s / self.law.diameter_m;
             let (sin, cos) = libm::sincos(pose.pitch_rad);
             let gravity = f64::from(self.law.gravity);
             let body = vector((gravity * sin - inertia) as f32, 0.0, (-gravity * cos) as f32);
@@ -381,13 +391,18 @@ mod tests {
                 (top_mm_s(commanded_mm, usual.shake), 0.6 * top_mm_s(executed_mm, usual.shake));
             ExecutedShake { commanded_mm, executed_mm, planned_mm_s, peak_mm_s }
         };
-        let calibration = ShakeCalibration::of([2.0, 4.0, 8.0, 16.0].map(executed).to_vec()).unwrap();
+        let calibration =
+            ShakeCalibration::of([2.0, 4.0, 8.0, 16.0].map(executed).to_vec()).unwrap();
         let found = usual.as_executed(&calibration);
         for shake in &calibration.shakes {
-            assert!((top_mm_s(shake.executed_mm, found.shake) / shake.peak_mm_s - 1.0).abs() < 1e-9, "{shake:?}");
+            assert!(
+                (top_mm_s(shake.executed_mm, found.shake) / shake.peak_mm_s - 1.0).abs() < 1e-9,
+                "{shake:?}"
+            );
         }
         assert_eq!(Settings { shake: usual.shake, ..found }, usual);
-        let still = calibration.shakes.iter().map(|it| ExecutedShake { peak_mm_s: 0.0, ..*it }).collect();
+        let still =
+            calibration.shakes.iter().map(|it| ExecutedShake { peak_mm_s: 0.0, ..*it }).collect();
         assert_eq!(usual.as_executed(&ShakeCalibration::of(still).unwrap()), usual);
     }
 }

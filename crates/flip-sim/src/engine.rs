@@ -93,14 +93,19 @@ pub(super) const LAYER: f32 = 0.816_496_6;
 /// Centres of a close-packed layer on a round base.
 pub(super) fn close_packed(radius: f32) -> Vec<Vector> {
     let rows = (radius / 0.75) as i32;
-    let at = |row: i32, column: i32| [column as f32 + 0.5 * (row & 1) as f32, row as f32 * 0.866_025_4];
+    let at =
+        |row: i32, column: i32| [column as f32 + 0.5 * (row & 1) as f32, row as f32 * 0.866_025_4];
     let all = (-rows..=rows).flat_map(|row| (-rows..=rows).map(move |column| at(row, column)));
     all.filter(|[x, y]| x * x + y * y <= radius * radius).map(|[x, y]| vector(x, y, 0.5)).collect()
 }
 
 impl Engine for Physical {
     fn scales(&self) -> Scales {
-        Scales { gravity: self.law.gravity, diameter_m: self.law.diameter_m, step_s: self.law.substep_s }
+        Scales {
+            gravity: self.law.gravity,
+            diameter_m: self.law.diameter_m,
+            step_s: self.law.substep_s,
+        }
     }
     fn pour(&mut self, x: Vector, v: Vector) {
         self.grains.pour(&self.law, x, v);
@@ -151,7 +156,11 @@ impl Physx {
 
 impl Engine for Physx {
     fn scales(&self) -> Scales {
-        Scales { gravity: self.law.gravity, diameter_m: self.law.diameter_m, step_s: self.law.frame_s }
+        Scales {
+            gravity: self.law.gravity,
+            diameter_m: self.law.diameter_m,
+            step_s: self.law.frame_s,
+        }
     }
     fn pour(&mut self, x: Vector, v: Vector) {
         self.solver.pour(x, v);

@@ -25,7 +25,11 @@ pub(super) fn cone_deg(x: &[Vector], base_radius: f64) -> f64 {
         let r = libm::hypot(at[0], at[1]);
         if (r as usize) < rings {
             let ring = &mut profile[sector(at) * rings + r as usize];
-            *ring = Ring { pixels: ring.pixels + 1.0, radius: ring.radius + r, height: ring.height + height };
+            *ring = Ring {
+                pixels: ring.pixels + 1.0,
+                radius: ring.radius + r,
+                height: ring.height + height,
+            };
         }
         apex = apex.max(height);
     }
@@ -35,7 +39,8 @@ pub(super) fn cone_deg(x: &[Vector], base_radius: f64) -> f64 {
         let points = seen.map(|ring| [ring.radius / ring.pixels, ring.height / ring.pixels]);
         points.filter(|point| flank.contains(&point[1])).collect()
     };
-    let slopes: Vec<f64> = profile.chunks(rings).filter_map(|sector| slope(&means(sector))).collect();
+    let slopes: Vec<f64> =
+        profile.chunks(rings).filter_map(|sector| slope(&means(sector))).collect();
     let mean = slopes.iter().sum::<f64>() / slopes.len().max(1) as f64;
     libm::atan(-mean).to_degrees()
 }
@@ -57,15 +62,20 @@ pub(super) fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([
         let (centre, r2) = ([f64::from(p[0]), f64::from(p[1])], f64::from(p[3] * p[3]));
         let [column, row] = centre.map(|c| (c / PIXEL).round() as i64);
         let wide = (f64::from(p[3]) / PIXEL).ceil() as i64;
-        for (i, j) in (-wide..=wide).flat_map(|i| (-wide..=wide).map(move |j| (column + i, row + j))) {
-            let apart = (i as f64 * PIXEL - centre[0]).powi(2) + (j as f64 * PIXEL - centre[1]).powi(2);
+        for (i, j) in
+            (-wide..=wide).flat_map(|i| (-wide..=wide).map(move |j| (column + i, row + j)))
+        {
+            let apart =
+                (i as f64 * PIXEL - centre[0]).powi(2) + (j as f64 * PIXEL - centre[1]).powi(2);
             if apart < r2 && i.abs() <= half && j.abs() <= half {
                 let pixel = &mut top[(j + half) as usize * side + (i + half) as usize];
                 *pixel = pixel.max(f64::from(p[2]) + (r2 - apart).sqrt());
             }
         }
     }
-    let position = move |k: usize| [(k % side) as i64 - half, (k / side) as i64 - half].map(|c| c as f64 * PIXEL);
+    let position = move |k: usize| {
+        [(k % side) as i64 - half, (k / side) as i64 - half].map(|c| c as f64 * PIXEL)
+    };
     top.into_iter().enumerate().filter(|(_, z)| z.is_finite()).map(move |(k, z)| (position(k), z))
 }
 

@@ -206,11 +206,17 @@ impl Grains {
 
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn advance<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
+    fn advance<L: Lanes, const EXTENDED: bool>(
+        &mut self,
+        law: &Law,
+        acceleration: Vector,
+        wall: &Shape,
+    ) {
         if self.n == 0 {
             return;
         }
-        let acceleration = if EXTENDED { law.mechanisms.step(acceleration, self.elapsed) } else { acceleration };
+        let acceleration =
+            if EXTENDED { law.mechanisms.step(acceleration, self.elapsed) } else { acceleration };
         if self.changed {
             self.list::<L, EXTENDED>(law);
         }
@@ -271,7 +277,19 @@ impl Grains {
     #[inline(always)]
     fn list<L: Lanes, const EXTENDED: bool>(&mut self, law: &Law) {
         let n = self.n;
-        let Self { x, v, wall_anchor, spin, wall_stretch, id, listed, neighbours, scratch, numbers, .. } = self;
+        let Self {
+            x,
+            v,
+            wall_anchor,
+            spin,
+            wall_stretch,
+            id,
+            listed,
+            neighbours,
+            scratch,
+            numbers,
+            ..
+        } = self;
         let order = neighbours.order(&x[..n]);
         for column in [x, v, wall_anchor, spin, wall_stretch] {
             scratch.clear();
@@ -283,7 +301,11 @@ impl Grains {
             numbers.extend(order.iter().map(|&i| column[i as usize]));
             column.copy_from_slice(numbers);
         }
-        let reach = if EXTENDED { law.grain.reach.max(law.mechanisms.pair_reach()) } else { law.grain.reach };
+        let reach = if EXTENDED {
+            law.grain.reach.max(law.mechanisms.pair_reach())
+        } else {
+            law.grain.reach
+        };
         self.neighbours.build::<L, EXTENDED>(&self.x[..n], &self.v[..n], &self.listed, 1.0 + reach);
         self.listed.clear();
         self.listed.extend(0..n as u32);
@@ -317,7 +339,16 @@ impl Grains {
         let [ix, iy, iz, contacts] = L::rows(block(&self.impulse, b));
         block_mut(&mut self.impulse, b).fill([0.0; 4]);
         let (p, u, still) = ([px, py, pz], [ux, uy, uz], [zero; 3]);
-        let mut turn = Turn { p, u, radius, share, spin: still, correction: [ix, iy, iz], torque: still, contacts };
+        let mut turn = Turn {
+            p,
+            u,
+            radius,
+            share,
+            spin: still,
+            correction: [ix, iy, iz],
+            torque: still,
+            contacts,
+        };
         let mut free = self.inhabited(b);
         let mut mobile = zero;
         if EXTENDED {
@@ -332,7 +363,13 @@ impl Grains {
             free &= zero.below(flag);
         }
         let stretches = if EXTENDED { Some(block_mut(&mut self.wall_stretch, b)) } else { None };
-        contacts::wall::<L, EXTENDED>(law, wall, block_mut(&mut self.wall_anchor, b), stretches, &mut turn);
+        contacts::wall::<L, EXTENDED>(
+            law,
+            wall,
+            block_mut(&mut self.wall_anchor, b),
+            stretches,
+            &mut turn,
+        );
         let [x, y, z, radius] = L::rows(block(&self.x, b));
         let v = choose(free, add(turn.u, turn.correction), [zero; 3]);
         let x = add([x, y, z], v);
@@ -479,7 +516,8 @@ impl Grains {
     /// Centre and velocity of a grain by id.
     #[cfg(test)]
     pub(super) fn grain(&self, id: u32) -> (Vector, Vector) {
-        let place = self.id.iter().position(|&other| other == id).expect("the grain is still there");
+        let place =
+            self.id.iter().position(|&other| other == id).expect("the grain is still there");
         (self.x[place], self.v[place])
     }
 }

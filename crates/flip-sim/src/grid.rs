@@ -37,7 +37,9 @@ impl Grid {
             }
         }
         self.origin = low;
-        self.size = std::array::from_fn(|k| (((high[k] - low[k]) * (1.0 / CELL)) as i32).clamp(0, CELLS_MAX - 1) + 1);
+        self.size = std::array::from_fn(|k| {
+            (((high[k] - low[k]) * (1.0 / CELL)) as i32).clamp(0, CELLS_MAX - 1) + 1
+        });
         let cells = (self.size[0] * self.size[1] * self.size[2]) as usize;
         self.first.clear();
         self.first.resize(cells + 2, 0);
@@ -71,7 +73,10 @@ impl Grid {
     #[inline(always)]
     pub(super) fn near(&self, x: Vector, range: f32) -> Lines {
         let at = |k: usize, by: f32| self.coordinate(x[k] + by, k);
-        let (low, high) = ([at(0, -range), at(1, -range), at(2, -range)], [at(0, range), at(1, range), at(2, range)]);
+        let (low, high) = (
+            [at(0, -range), at(1, -range), at(2, -range)],
+            [at(0, range), at(1, range), at(2, range)],
+        );
         Lines { low, high, y: low[1], z: low[2] }
     }
 
@@ -110,7 +115,8 @@ impl Lines {
         let line = (self.z * grid.size[1] + self.y) * grid.size[0];
         self.y += 1;
         Some(
-            grid.first[(line + self.low[0]) as usize] as usize..grid.first[(line + self.high[0]) as usize + 1] as usize,
+            grid.first[(line + self.low[0]) as usize] as usize
+                ..grid.first[(line + self.high[0]) as usize + 1] as usize,
         )
     }
 }

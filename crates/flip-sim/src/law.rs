@@ -133,8 +133,10 @@ impl Law {
         };
         let (grain, wall) = (eased(self.grain), eased(self.wall));
         let bond = (GRAVITY * self.substep_s * self.substep_s / self.diameter_m
-            * (DIAMETER_REFERENCE_MM / set.particle_diameter_mm()).powi(2)) as f32;
-        let mechanisms = Mechanisms::new(extensions, set, bond, grain.tangential, self.substep_s, site);
+            * (DIAMETER_REFERENCE_MM / set.particle_diameter_mm()).powi(2))
+            as f32;
+        let mechanisms =
+            Mechanisms::new(extensions, set, bond, grain.tangential, self.substep_s, site);
         Self { grain, wall, mechanisms, extended: !extensions.is_none(), ..self }
     }
 

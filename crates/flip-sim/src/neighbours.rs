@@ -131,7 +131,19 @@ impl Neighbours {
 
     /// Memory held, bytes. Lists every field, so that none is forgotten.
     pub(super) fn bytes(&self) -> usize {
-        let Self { pairs, overfull: _, builds: _, start, pace, age: _, widest: _, grid, sorted, fast, wide } = self;
+        let Self {
+            pairs,
+            overfull: _,
+            builds: _,
+            start,
+            pace,
+            age: _,
+            widest: _,
+            grid,
+            sorted,
+            fast,
+            wide,
+        } = self;
         let Sorted { x, slow, v, allowance } = sorted;
         pairs.bytes()
             + held(start)
@@ -186,7 +198,8 @@ impl Neighbours {
             let i = self.fast[k] as usize;
             // Faster grains find this one.
             let speed = dot(v[i], v[i]).sqrt();
-            let range = reach + self.sorted.allowance[i] + self.widest + SKIN_MAX + 2.0 * speed * HORIZON;
+            let range =
+                reach + self.sorted.allowance[i] + self.widest + SKIN_MAX + 2.0 * speed * HORIZON;
             let lines = self.grid.near(x[i], range);
             let counts = self.scan::<L, true>(i, x, v, reach, lines, found);
             self.overfull |= counts[0] == NEIGHBOURS_MAX || counts[1] == NEIGHBOURS_MAX;
@@ -205,9 +218,17 @@ impl Neighbours {
     /// Finds the later neighbours of grain `i` that are not fast: those near now, and those that
     /// may come near; returns how many.
     #[inline(always)]
-    fn search<L: Lanes>(&self, i: usize, x: &[Vector], v: &[Vector], reach: f32, found: &mut Found) -> [usize; 2] {
+    fn search<L: Lanes>(
+        &self,
+        i: usize,
+        x: &[Vector],
+        v: &[Vector],
+        reach: f32,
+        found: &mut Found,
+    ) -> [usize; 2] {
         let others = SKIN + SKIN_PER_PATH * FAST * HORIZON + self.widest;
-        let range = reach + self.sorted.allowance[i] + others + (dot(v[i], v[i]).sqrt() + FAST) * HORIZON;
+        let range =
+            reach + self.sorted.allowance[i] + others + (dot(v[i], v[i]).sqrt() + FAST) * HORIZON;
         self.scan::<L, false>(i, x, v, reach, self.grid.after(x[i], range), found)
     }
 
@@ -242,14 +263,17 @@ impl Neighbours {
                 let end = rr + horizon * (ru + ru + horizon * uu);
                 let approach = zero - ru;
                 let between = zero.below(approach) & approach.below(uu * horizon);
-                let mut hits = rr.min(end).below(near2) | (between & (rr * uu - ru * ru).below(near2 * uu));
+                let mut hits =
+                    rr.min(end).below(near2) | (between & (rr * uu - ru * ru).below(near2 * uu));
                 let left = places.end - j;
                 if left < WIDTH {
                     hits &= (1 << left) - 1;
                 }
                 let hot = rr.below(hot2);
-                hot_count = L::append(hits & hot, j as u32, &mut found[0], hot_count).min(NEIGHBOURS_MAX);
-                late_count = L::append(hits & !hot, j as u32, &mut found[1], late_count).min(NEIGHBOURS_MAX);
+                hot_count =
+                    L::append(hits & hot, j as u32, &mut found[0], hot_count).min(NEIGHBOURS_MAX);
+                late_count =
+                    L::append(hits & !hot, j as u32, &mut found[1], late_count).min(NEIGHBOURS_MAX);
                 j += WIDTH;
             }
         }
@@ -286,10 +310,13 @@ mod tests {
 
     /// A cloud in which every seventh grain moves, some of them fast, sorted as the list requires.
     fn cloud(n: usize, side: f32, seed: u64) -> (Neighbours, Vec<Vector>, Vec<Vector>) {
-        let u = |i: usize, k: u64| (derive(seed, &[i as u64, k]) >> 40) as f32 / (1u64 << 24) as f32;
-        let x: Vec<Vector> = (0..n).map(|i| grain(side * u(i, 0), side * u(i, 1), side * u(i, 2))).collect();
+        let u =
+            |i: usize, k: u64| (derive(seed, &[i as u64, k]) >> 40) as f32 / (1u64 << 24) as f32;
+        let x: Vec<Vector> =
+            (0..n).map(|i| grain(side * u(i, 0), side * u(i, 1), side * u(i, 2))).collect();
         let speed = |i: usize| if i.is_multiple_of(7) { 0.15 } else { 0.01 };
-        let v: Vec<Vector> = (0..n).map(|i| [speed(i) * u(i, 3), 0.0, -speed(i) * u(i, 4), 0.0]).collect();
+        let v: Vec<Vector> =
+            (0..n).map(|i| [speed(i) * u(i, 3), 0.0, -speed(i) * u(i, 4), 0.0]).collect();
         let mut list = Neighbours::default();
         let order = list.order(&x).to_vec();
         let sort = |of: &[Vector]| order.iter().map(|&i| of[i as usize]).collect::<Vec<_>>();
@@ -349,7 +376,8 @@ mod tests {
         list.order(&x);
         list.build::<Portable, false>(&x, &v, &[NEW; 2], 1.05);
         let strays = |list: &Neighbours, p: [Vector; 2]| {
-            let lane = |k: usize| Portable::load(&std::array::from_fn(|l| p.get(l).map_or(FAR, |p| p[k])));
+            let lane =
+                |k: usize| Portable::load(&std::array::from_fn(|l| p.get(l).map_or(FAR, |p| p[k])));
             Portable::splat(0.0).below(list.strayed::<Portable>(0, [lane(0), lane(1), lane(2)]))
         };
         let after = |t: f32, aside: f32| [x[0], grain(5.0 + aside, 0.0, -0.04 * t)];
@@ -361,7 +389,12 @@ mod tests {
 
     #[test]
     fn what_a_pair_remembers_follows_it_when_grains_leave_and_are_reordered() {
-        let x = vec![grain(0.0, 0.0, 0.0), grain(0.9, 0.0, 0.0), grain(5.0, 0.0, 0.0), grain(5.9, 0.0, 0.0)];
+        let x = vec![
+            grain(0.0, 0.0, 0.0),
+            grain(0.9, 0.0, 0.0),
+            grain(5.0, 0.0, 0.0),
+            grain(5.9, 0.0, 0.0),
+        ];
         let v = vec![[0.0; 4]; 4];
         let mut list = Neighbours::default();
         assert_eq!(list.order(&x), [0, 1, 2, 3]);

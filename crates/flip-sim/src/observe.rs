@@ -54,7 +54,8 @@ pub fn observe(observable: &Observable, set: &ParameterSet, seed: u64) -> Result
         Observable::DrainedAngle {} => cup::drained_deg(set, seed),
         Observable::PileHeight { base_diameter_mm, fall_mm } => {
             let default = repose::Settings::default();
-            let funnel_clearance_diameters = 2.0 * default.base_radius_diameters * fall_mm / base_diameter_mm;
+            let funnel_clearance_diameters =
+                2.0 * default.base_radius_diameters * fall_mm / base_diameter_mm;
             let settings = repose::Settings { funnel_clearance_diameters, ..default };
             Ok(repose::repose(set, &settings, seed)?.tip_deg)
         }
@@ -68,9 +69,13 @@ pub fn value(observable: &Observable, set: &ParameterSet, reduced: f64) -> f64 {
             let per_fall_ug = libm::pow(reduced.max(0.0), 2.5) * set.particle_mass_ug();
             mass_g * 1e6 / per_fall_ug * fall_s(set)
         }
-        Observable::ShakeMass { .. } => libm::expm1(reduced).max(0.0) * set.particle_mass_ug() * 1e-3,
+        Observable::ShakeMass { .. } => {
+            libm::expm1(reduced).max(0.0) * set.particle_mass_ug() * 1e-3
+        }
         Observable::DrainedAngle {} => reduced,
-        Observable::PileHeight { base_diameter_mm, .. } => 0.5 * base_diameter_mm * libm::tan(reduced.to_radians()),
+        Observable::PileHeight { base_diameter_mm, .. } => {
+            0.5 * base_diameter_mm * libm::tan(reduced.to_radians())
+        }
     }
 }
 
@@ -84,13 +89,24 @@ fn fall_s(set: &ParameterSet) -> f64 {
 ///
 /// # Errors
 /// [`Refusal`] if the solver diverged.
-pub fn shakes(set: &ParameterSet, pitch_deg: f64, shake_mm: f64, count: u32, seed: u64) -> Result<Vec<f64>, Refusal> {
-    let settings = dispense::Settings { pitch: PitchLimits { lower_deg: 0.0, upper_deg: 90.0 }, ..Default::default() };
+pub fn shakes(
+    set: &ParameterSet,
+    pitch_deg: f64,
+    shake_mm: f64,
+    count: u32,
+    seed: u64,
+) -> Result<Vec<f64>, Refusal> {
+    let settings = dispense::Settings {
+        pitch: PitchLimits { lower_deg: 0.0, upper_deg: 90.0 },
+        ..Default::default()
+    };
     let mut spoon = Dispenser::new(set, &settings, seed);
     let mut act = |incline_change_deg, shake_mm| {
         let poured = spoon.step(Action { incline_change_deg, shake_mm });
         match spoon.fault() {
-            Some(cause) => Err(Refusal::Diverged { at_s: poured.duration_s, cause: cause.to_owned() }),
+            Some(cause) => {
+                Err(Refusal::Diverged { at_s: poured.duration_s, cause: cause.to_owned() })
+            }
             None => Ok((poured.vial_mg + poured.spilled_mg) * 1e3 / set.particle_mass_ug()),
         }
     };
@@ -103,14 +119,18 @@ mod tests {
     use super::*;
 
     fn set(changes: &[(&str, f64)]) -> ParameterSet {
-        changes.iter().fold(ParameterSet::default(), |set, (key, value)| set.with(key, *value).unwrap())
+        changes
+            .iter()
+            .fold(ParameterSet::default(), |set, (key, value)| set.with(key, *value).unwrap())
     }
 
     #[test]
     fn factors_that_are_known_are_exact() {
         let [light, heavy] = [13.0, 16.0].map(|ug| set(&[("particle_mass_ug", ug)]));
         let hall = Observable::FlowTime { mass_g: 50.0, orifice_mm: 2.54 };
-        assert!((value(&hall, &light, 2.0) / value(&hall, &heavy, 2.0) - 16.0 / 13.0).abs() < 1e-12);
+        assert!(
+            (value(&hall, &light, 2.0) / value(&hall, &heavy, 2.0) - 16.0 / 13.0).abs() < 1e-12
+        );
         assert_eq!(value(&hall, &light, 0.0), f64::INFINITY);
         let shake = Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 4.0 };
         assert!((value(&shake, &light, 101f64.ln()) - 1.3).abs() < 1e-12);
@@ -122,9 +142,15 @@ mod tests {
     fn the_reduced_flow_is_linear_in_the_hole() {
         // Beverloo: w^(2/5) = a (D - k d), k near 1.4, for three holes of one powder.
         let easy = set(&[("friction", 0.4)]);
-        let flow = |orifice_mm| observe(&Observable::FlowTime { mass_g: 1.0, orifice_mm }, &easy, 1).unwrap();
+        let flow = |orifice_mm| {
+            observe(&Observable::FlowTime { mass_g: 1.0, orifice_mm }, &easy, 1).unwrap()
+        };
         let [small, middle, large] = [1.6, 2.1, 2.6].map(flow);
-        assert!(small > 0.5 && (large - middle) / (middle - small) > 0.7 && (large - middle) / (middle - small) < 1.4);
+        assert!(
+            small > 0.5
+                && (large - middle) / (middle - small) > 0.7
+                && (large - middle) / (middle - small) < 1.4
+        );
         let offset = 1.6 - small * (2.6 - 1.6) / (large - small);
         assert!((0.8..2.4).contains(&(offset / 0.27)), "{offset}");
     }
@@ -146,7 +172,9 @@ mod tests {
     fn a_rough_powder_flows_slower_a_sticky_one_drains_steeper_a_steep_spoon_gives_more() {
         let [smooth, rough] = [set(&[("friction", 0.1)]), set(&[("friction", 1.2)])];
         let sticky = set(&[("friction", 0.1), ("cohesion", 1.0)]);
-        let of = |observable: &Observable, set| value(observable, set, observe(observable, set, 1).unwrap());
+        let of = |observable: &Observable, set| {
+            value(observable, set, observe(observable, set, 1).unwrap())
+        };
         let flow = Observable::FlowTime { mass_g: 1.0, orifice_mm: 2.0 };
         assert!(of(&flow, &smooth) < of(&flow, &rough));
         let drained = Observable::DrainedAngle {};

@@ -172,7 +172,8 @@ impl Pairs {
             if EXTENDED {
                 self.linked[row] |= Mask::from(kept.linked) << lane;
                 for (slot, number) in self.kept_memory[k].iter().enumerate() {
-                    self.memory[row][slot][lane] = if slot < POINTING { sign * number } else { *number };
+                    self.memory[row][slot][lane] =
+                        if slot < POINTING { sign * number } else { *number };
                 }
             }
         }

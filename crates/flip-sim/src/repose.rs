@@ -207,10 +207,19 @@ pub struct Pile {
 ///
 /// # Errors
 /// As [`repose`].
-pub fn pile(set: &ParameterSet, settings: &Settings, seed: u64, camera: Option<Camera>) -> Result<Pile, Refusal> {
+pub fn pile(
+    set: &ParameterSet,
+    settings: &Settings,
+    seed: u64,
+    camera: Option<Camera>,
+) -> Result<Pile, Refusal> {
     match settings.compat {
-        Compat::Physical => Heap { engine: Physical::new(set, settings), settings, steps: 0, camera }.run(seed),
-        Compat::Physx => Heap { engine: Physx::new(set, settings), settings, steps: 0, camera }.run(seed),
+        Compat::Physical => {
+            Heap { engine: Physical::new(set, settings), settings, steps: 0, camera }.run(seed)
+        }
+        Compat::Physx => {
+            Heap { engine: Physx::new(set, settings), settings, steps: 0, camera }.run(seed)
+        }
     }
 }
 
@@ -238,7 +247,8 @@ impl<E: Engine> Heap<'_, E> {
             let sum = |of: &dyn Fn(&[f64; 2]) -> f64| angles.iter().map(of).sum::<f64>();
             repose.tip_deg = sum(&|angle| angle[0]) / n;
             repose.cone_deg = sum(&|angle| angle[1]) / n;
-            repose.tip_sd_deg = Some((sum(&|angle| (angle[0] - repose.tip_deg).powi(2)) / (n - 1.0)).sqrt());
+            repose.tip_sd_deg =
+                Some((sum(&|angle| (angle[0] - repose.tip_deg).powi(2)) / (n - 1.0)).sqrt());
             repose.simulated_s = self.elapsed_s();
         }
         Ok(Pile { repose, snapshot: self.engine.snapshot(self.elapsed_s()) })
@@ -251,7 +261,10 @@ impl<E: Engine> Heap<'_, E> {
             if step % DEPARTURE_CHECK == 0 {
                 self.engine.drop_departed();
             }
-            if let Some(camera) = self.camera.as_ref().filter(|camera| camera.is_due(self.steps + step, scales.step_s))
+            if let Some(camera) = self
+                .camera
+                .as_ref()
+                .filter(|camera| camera.is_due(self.steps + step, scales.step_s))
             {
                 (camera.see)(self.engine.snapshot(f64::from(self.steps + step) * scales.step_s));
             }
@@ -285,7 +298,13 @@ impl<E: Engine> Heap<'_, E> {
 
     /// Pours layer after layer until at least `grains` have left the opening, at most `most`;
     /// returns how many did.
-    fn stream(&mut self, rng: &mut Pcg64Mcg, grains: usize, most: usize, radius: f32) -> Result<usize, Refusal> {
+    fn stream(
+        &mut self,
+        rng: &mut Pcg64Mcg,
+        grains: usize,
+        most: usize,
+        radius: f32,
+    ) -> Result<usize, Refusal> {
         let speed = (self.engine.scales().gravity * 2.0 * radius).sqrt();
         let per_layer = (1.15 / speed).ceil() as u32;
         let mut poured = 0;
@@ -302,14 +321,16 @@ impl<E: Engine> Heap<'_, E> {
 
     /// Height of the highest grain that rests on others, or of the base.
     fn apex(&self) -> f32 {
-        let lying = self.engine.centres().iter().zip(self.engine.velocities()).filter(|(_, v)| v[3] >= 2.0);
+        let lying =
+            self.engine.centres().iter().zip(self.engine.velocities()).filter(|(_, v)| v[3] >= 2.0);
         lying.fold(0.0, |top, (x, _)| top.max(x[2]))
     }
 
     fn settle(&mut self) -> Result<(), Refusal> {
         let scales = self.engine.scales();
         let slice = scales.steps(0.01).max(1);
-        let fall = (2.0 * self.settings.funnel_clearance_diameters * scales.diameter_m / 9.81).sqrt();
+        let fall =
+            (2.0 * self.settings.funnel_clearance_diameters * scales.diameter_m / 9.81).sqrt();
         self.advance(scales.steps(fall))?;
         let limit = self.steps + scales.steps(self.settings.settle_max_s);
         let may_stop = self.settings.compat == Compat::Physical;
@@ -360,7 +381,9 @@ impl<E: Engine> Heap<'_, E> {
         }
         match seen.iter().filter(|s| **s).count() {
             SECTORS => Ok(()),
-            covered => Err(Refusal::BaseNotCovered { covered: covered as u32, sectors: SECTORS as u32 }),
+            covered => {
+                Err(Refusal::BaseNotCovered { covered: covered as u32, sectors: SECTORS as u32 })
+            }
         }
     }
 }
@@ -410,12 +433,22 @@ mod tests {
             let settings = Settings { readings, ..Settings::with_particles(600) };
             repose(&ParameterSet::default(), &settings, seed).unwrap()
         };
-        let [once, again] = [1, 4].map(|readings| (1..=6).map(|seed| heap(readings, seed)).collect::<Vec<_>>());
+        let [once, again] =
+            [1, 4].map(|readings| (1..=6).map(|seed| heap(readings, seed)).collect::<Vec<_>>());
         for (a, b) in once.iter().zip(&again) {
-            assert_eq!((a.creep_deg_per_s, a.overlap_mean, a.tip_sd_deg), (b.creep_deg_per_s, b.overlap_mean, None));
-            assert!(b.simulated_s > a.simulated_s && b.tip_sd_deg.is_some_and(|sd| sd > 0.0 && sd < 6.0), "{b:?}");
+            assert_eq!(
+                (a.creep_deg_per_s, a.overlap_mean, a.tip_sd_deg),
+                (b.creep_deg_per_s, b.overlap_mean, None)
+            );
+            assert!(
+                b.simulated_s > a.simulated_s
+                    && b.tip_sd_deg.is_some_and(|sd| sd > 0.0 && sd < 6.0),
+                "{b:?}"
+            );
         }
-        let mean = |heaps: &[Repose]| heaps.iter().map(|heap| heap.tip_deg).sum::<f64>() / heaps.len() as f64;
+        let mean = |heaps: &[Repose]| {
+            heaps.iter().map(|heap| heap.tip_deg).sum::<f64>() / heaps.len() as f64
+        };
         // A single reading of such a small heap scatters by about 2 deg.
         assert!((mean(&once) - mean(&again)).abs() < 3.0, "{} {}", mean(&once), mean(&again));
         assert_eq!(heap(4, 3), again[2]);

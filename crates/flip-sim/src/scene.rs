@@ -40,7 +40,13 @@ pub(super) fn at_rest(law: &Law, centres: impl IntoIterator<Item = Vector>) -> G
 }
 
 /// Advances by `substeps` under one acceleration.
-pub(super) fn advance(grains: &mut Grains, law: &Law, acceleration: Vector, wall: &Shape, substeps: u32) {
+pub(super) fn advance(
+    grains: &mut Grains,
+    law: &Law,
+    acceleration: Vector,
+    wall: &Shape,
+    substeps: u32,
+) {
     for _ in 0..substeps {
         grains.substep(law, acceleration, wall);
     }
@@ -48,7 +54,13 @@ pub(super) fn advance(grains: &mut Grains, law: &Law, acceleration: Vector, wall
 
 /// Advances until the grains' root-mean-square speed is below one percent of sqrt(g d), or
 /// `substeps_max` have passed.
-pub(super) fn settle(grains: &mut Grains, law: &Law, acceleration: Vector, wall: &Shape, substeps_max: u32) {
+pub(super) fn settle(
+    grains: &mut Grains,
+    law: &Law,
+    acceleration: Vector,
+    wall: &Shape,
+    substeps_max: u32,
+) {
     let rest = 0.01 * law.gravity.sqrt();
     for _ in 0..substeps_max / 100 {
         advance(grains, law, acceleration, wall, 100);
@@ -63,7 +75,13 @@ pub(super) fn settle(grains: &mut Grains, law: &Law, acceleration: Vector, wall:
 /// Layers of grains start at sqrt(g d) slightly above the existing grains; a share `density` of
 /// each layer's places, drawn at random, holds a grain, so that grains do not fall exactly onto
 /// those of the layer before.
-pub(super) fn rain(law: &Law, silo: &Silo, density: f64, seed: u64, full: impl Fn(&Grains) -> bool) -> Grains {
+pub(super) fn rain(
+    law: &Law,
+    silo: &Silo,
+    density: f64,
+    seed: u64,
+    full: impl Fn(&Grains) -> bool,
+) -> Grains {
     let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0x5EED]));
     let mut grains = Grains::default();
     let speed = law.gravity.sqrt();
@@ -99,8 +117,9 @@ pub(super) fn cut(law: &Law, grains: &Grains, height: f64) -> Grains {
 
 /// Packing fraction between two heights and within a radius.
 pub(super) fn packing_fraction(grains: &Grains, radius: f64, [low, high]: [f64; 2]) -> f64 {
-    let inside =
-        |x: &&Vector| f64::from(x[0]).hypot(f64::from(x[1])) < radius && (low..high).contains(&f64::from(x[2]));
+    let inside = |x: &&Vector| {
+        f64::from(x[0]).hypot(f64::from(x[1])) < radius && (low..high).contains(&f64::from(x[2]))
+    };
     let count = grains.centres().iter().filter(inside).count() as f64;
     count / 6.0 / (radius * radius * (high - low))
 }
@@ -147,7 +166,11 @@ pub(super) fn power_law(points: &[[f64; 2]]) -> [f64; 2] {
 
 /// Finds where a function that is false at `low` and true at `high` changes, by halving the
 /// interval `steps` times.
-pub(super) fn threshold([mut low, mut high]: [f64; 2], steps: u32, is_beyond: impl Fn(f64) -> bool) -> f64 {
+pub(super) fn threshold(
+    [mut low, mut high]: [f64; 2],
+    steps: u32,
+    is_beyond: impl Fn(f64) -> bool,
+) -> f64 {
     for _ in 0..steps {
         let middle = 0.5 * (low + high);
         if is_beyond(middle) {

@@ -91,9 +91,18 @@ const VOLUME_PER_GRAIN: f64 = std::f64::consts::PI / 6.0 / 0.58;
 ///
 /// # Errors
 /// [`Failure`]: settings in which the spoon would touch the trough, or a solver that diverged.
-pub fn scoop(set: &ParameterSet, settings: &Settings, seed: u64, camera: Option<Camera>) -> Result<Scooped, Failure> {
+pub fn scoop(
+    set: &ParameterSet,
+    settings: &Settings,
+    seed: u64,
+    camera: Option<Camera>,
+) -> Result<Scooped, Failure> {
     let spoon = &settings.spoon;
-    let law = Law::new(set, spoon.friction, spoon.substep_s).extended(&spoon.extensions, set, Site::Spoon);
+    let law = Law::new(set, spoon.friction, spoon.substep_s).extended(
+        &spoon.extensions,
+        set,
+        Site::Spoon,
+    );
     let mut bed = Bed::new(law, settings, camera)?;
     let grain_mg = set.particle_mass_ug() / 1000.0;
     bed.fill(seed)?;
@@ -137,7 +146,8 @@ impl Wall for Trough {
             nearest = nearer(nearest, Touch::still(gap, normal));
         }
         let at = [L::splat(self.at[0]), L::splat(self.at[1]), L::splat(self.at[2])];
-        let velocity = [L::splat(self.velocity[0]), L::splat(self.velocity[1]), L::splat(self.velocity[2])];
+        let velocity =
+            [L::splat(self.velocity[0]), L::splat(self.velocity[1]), L::splat(self.velocity[2])];
         nearer(nearest, Touch { velocity, ..self.bowl.shell(sub(p, at)) })
     }
 
@@ -185,7 +195,10 @@ impl<'a> Bed<'a> {
             return Err(FieldError::new("margin_mm", message));
         }
         if !(settings.push_mm > 0.0 && settings.push_mm <= 200.0) {
-            return Err(FieldError::new("push_mm", format!("must be above 0, up to 200 mm, got {}", settings.push_mm)));
+            return Err(FieldError::new(
+                "push_mm",
+                format!("must be above 0, up to 200 mm, got {}", settings.push_mm),
+            ));
         }
         let half = [a + settings.push_mm / 2.0 + settings.margin_mm, b + settings.margin_mm];
         let trough = Trough {
@@ -215,7 +228,9 @@ impl<'a> Bed<'a> {
         let mut layer = 0;
         while left > 0 {
             for k in 0..(columns * rows).min(left) {
-                let place = |index: u32, count: u32| (f64::from(index) - f64::from(count - 1) / 2.0) * SPACING;
+                let place = |index: u32, count: u32| {
+                    (f64::from(index) - f64::from(count - 1) / 2.0) * SPACING
+                };
                 let mut at = |centre: f64| centre as f32 + rng.random_range(-0.05..0.05f32);
                 let (x, y) = (at(place(k % columns, columns)), at(place(k / columns, rows)));
                 let z = 0.6 + (f64::from(layer) * SPACING) as f32;
@@ -272,13 +287,19 @@ impl<'a> Bed<'a> {
     }
 
     fn check(&self) -> Result<(), Refusal> {
-        self.grains.fault().map_or(Ok(()), |cause| Err(Refusal::Diverged { at_s: self.elapsed_s(), cause }))
+        self.grains
+            .fault()
+            .map_or(Ok(()), |cause| Err(Refusal::Diverged { at_s: self.elapsed_s(), cause }))
     }
 
     /// Centres and velocities of the grains on the spoon, in its frame, in the order of pouring.
     fn held(&self) -> impl Iterator<Item = [Vector; 2]> {
         let at = self.trough.at;
-        let grains = self.grains.ids().iter().zip(self.grains.centres().iter().zip(self.grains.velocities()));
+        let grains = self
+            .grains
+            .ids()
+            .iter()
+            .zip(self.grains.centres().iter().zip(self.grains.velocities()));
         let mut held: Vec<(u32, [Vector; 2])> = grains
             .map(|(id, (x, v))| (*id, [vector(x[0] - at[0], x[1] - at[1], x[2] - at[2]), *v]))
             .filter(|(_, [x, _])| self.trough.bowl.holds([x[0], x[1], x[2]]))
@@ -295,7 +316,14 @@ mod tests {
 
     fn small() -> Settings {
         let spoon = dispense::Settings { semi_axes_mm: [2.2, 1.6, 1.0], ..Default::default() };
-        Settings { spoon, bed_depth_mm: 2.5, immersion_mm: 0.6, push_mm: 3.0, margin_mm: 1.0, ..Default::default() }
+        Settings {
+            spoon,
+            bed_depth_mm: 2.5,
+            immersion_mm: 0.6,
+            push_mm: 3.0,
+            margin_mm: 1.0,
+            ..Default::default()
+        }
     }
 
     /// Free-flowing: such a small spoon would push a steep powder along.
@@ -305,7 +333,8 @@ mod tests {
 
     #[test]
     fn a_scooped_spoon_holds_about_its_bowl_and_can_be_poured() {
-        let Scooped { mut dispenser, bed_mg, taken_mg, .. } = scoop(&set(), &small(), 3, None).unwrap();
+        let Scooped { mut dispenser, bed_mg, taken_mg, .. } =
+            scoop(&set(), &small(), 3, None).unwrap();
         // Half an ellipsoid at a packing fraction of 0.6, minus the rim, plus the heap.
         let bowl_mm3 = 2.0 / 3.0 * std::f64::consts::PI * 2.2 * 1.6 * 1.0;
         let grain_mm3 = std::f64::consts::PI / 6.0 * 0.27f64.powi(3);
@@ -317,7 +346,10 @@ mod tests {
             .map(|_| dispenser.step(Action { incline_change_deg: 8.0, shake_mm: 8.0 }))
             .map(|poured| poured.vial_mg + poured.spilled_mg)
             .sum();
-        assert!(poured > 0.3 * taken_mg && (dispenser.spoon_mg() + poured - taken_mg).abs() < 1e-6, "{poured}");
+        assert!(
+            poured > 0.3 * taken_mg && (dispenser.spoon_mg() + poured - taken_mg).abs() < 1e-6,
+            "{poured}"
+        );
         assert_eq!(dispenser.fault(), None);
     }
 
@@ -325,7 +357,10 @@ mod tests {
     fn a_spoon_that_would_touch_the_floor_is_refused_by_name() {
         let shallow = Settings { bed_depth_mm: 1.9, ..small() };
         let failure = scoop(&set(), &shallow, 3, None).unwrap_err();
-        assert!(matches!(&failure, Failure::Settings(error) if error.field == "bed_depth_mm"), "{failure}");
+        assert!(
+            matches!(&failure, Failure::Settings(error) if error.field == "bed_depth_mm"),
+            "{failure}"
+        );
         assert!(scoop(&set(), &Settings { margin_mm: f64::NAN, ..small() }, 3, None).is_err());
     }
 
@@ -341,7 +376,15 @@ mod tests {
             touch.normal[2].store(&mut z);
             (gap, z[0])
         };
-        assert!(gap(9.5).0.abs() < 1e-4 && (gap(9.5).1 - 0.8).abs() < 1e-5, "inside pushes up: {:?}", gap(9.5));
-        assert!(gap(10.5).0.abs() < 1e-4 && (gap(10.5).1 + 0.8).abs() < 1e-5, "outside pushes down: {:?}", gap(10.5));
+        assert!(
+            gap(9.5).0.abs() < 1e-4 && (gap(9.5).1 - 0.8).abs() < 1e-5,
+            "inside pushes up: {:?}",
+            gap(9.5)
+        );
+        assert!(
+            gap(10.5).0.abs() < 1e-4 && (gap(10.5).1 + 0.8).abs() < 1e-5,
+            "outside pushes down: {:?}",
+            gap(10.5)
+        );
     }
 }

@@ -41,7 +41,10 @@ impl Wall for Silo {
         let below = zero.max(L::splat(FILLET) - z);
         let depth = (aside * aside + below * below).sqrt().max(L::splat(NEAREST));
         let inward = (zero - aside) / (depth * r);
-        let mut touch = Touch::still(L::splat(FILLET - RADIUS) - depth, [p[0] * inward, p[1] * inward, below / depth]);
+        let mut touch = Touch::still(
+            L::splat(FILLET - RADIUS) - depth,
+            [p[0] * inward, p[1] * inward, below / depth],
+        );
         if self.orifice == 0.0 {
             return touch;
         }
@@ -114,7 +117,10 @@ mod tests {
         ] {
             let ((gap, normal), (expected, direction)) = (touch(&silo, p), brute_force(&silo, p));
             assert!((gap - expected).abs() < 2e-3, "gap {gap} for {expected} at {p:?}");
-            assert!((0..3).all(|k| (normal[k] - direction[k]).abs() < 5e-3), "{normal:?} for {direction:?} at {p:?}");
+            assert!(
+                (0..3).all(|k| (normal[k] - direction[k]).abs() < 5e-3),
+                "{normal:?} for {direction:?} at {p:?}"
+            );
         }
     }
 

@@ -76,7 +76,9 @@ impl Snapshot {
             ids: all.iter().map(|(id, _)| *id).collect(),
             grains: all
                 .iter()
-                .map(|(_, x)| [steps(x[0] - low[0]), steps(x[1] - low[1]), steps(x[2] - low[2]), steps(x[3])])
+                .map(|(_, x)| {
+                    [steps(x[0] - low[0]), steps(x[1] - low[1]), steps(x[2] - low[2]), steps(x[3])]
+                })
                 .collect(),
         }
     }
@@ -121,16 +123,24 @@ mod tests {
         let seen = Arc::new(Mutex::new(Vec::new()));
         let camera = {
             let seen = Arc::clone(&seen);
-            Camera { every_s: 0.02, see: Arc::new(move |snapshot| seen.lock().unwrap().push(snapshot)) }
+            Camera {
+                every_s: 0.02,
+                see: Arc::new(move |snapshot| seen.lock().unwrap().push(snapshot)),
+            }
         };
         let filmed = pile(&set, &settings, 3, Some(camera)).unwrap();
         assert_eq!(filmed.repose, repose(&set, &settings, 3).unwrap());
         let seen = seen.lock().unwrap();
-        assert!(seen.len() > 10 && seen.windows(2).all(|w| (w[1].time_s - w[0].time_s - 0.02).abs() < 1e-9));
+        assert!(
+            seen.len() > 10
+                && seen.windows(2).all(|w| (w[1].time_s - w[0].time_s - 0.02).abs() < 1e-9)
+        );
         let last = &filmed.snapshot;
         assert_eq!(last.ids.len(), filmed.repose.particles_on_base as usize);
         assert!(last.ids.windows(2).all(|w| w[0] < w[1]));
-        let top = (0..last.ids.len()).map(|k| last.centre_mm(k)[2] + last.radius_mm(k)).fold(0.0, f32::max);
+        let top = (0..last.ids.len())
+            .map(|k| last.centre_mm(k)[2] + last.radius_mm(k))
+            .fold(0.0, f32::max);
         let base_mm = settings.base_radius_diameters * set.particle_diameter_mm();
         let tip = (f64::from(top) / base_mm).atan().to_degrees();
         assert!((tip - filmed.repose.tip_deg).abs() < 0.02, "{tip}");

@@ -97,7 +97,8 @@ fn the_adhesion_offset_scale_sets_the_gap_over_which_attraction_acts() {
 fn hangs(changes: &[(&str, f64)]) -> bool {
     let law = law(changes);
     let mut one = grains(&[vector(0.0, 0.0, -0.5)]);
-    (0..substeps(0.5)).for_each(|_| one.substep(&law, down(&law), &Shape::Plate(Plate { radius: 5.0 })));
+    (0..substeps(0.5))
+        .for_each(|_| one.substep(&law, down(&law), &Shape::Plate(Plate { radius: 5.0 })));
     one.grain(0).0[2] > -0.6
 }
 
@@ -106,7 +107,8 @@ fn a_grain_hangs_from_a_wall_exactly_when_adhesion_exceeds_its_weight() {
     // Bo_w = adhesion (d_ref / d)^2 against gravity_scale.
     assert!(hangs(&[("adhesion", 1.05)]) && !hangs(&[("adhesion", 0.95)]));
     assert!(
-        hangs(&[("adhesion", 0.55), ("gravity_scale", 0.5)]) && !hangs(&[("adhesion", 0.45), ("gravity_scale", 0.5)])
+        hangs(&[("adhesion", 0.55), ("gravity_scale", 0.5)])
+            && !hangs(&[("adhesion", 0.45), ("gravity_scale", 0.5)])
     );
 }
 
@@ -131,7 +133,10 @@ fn mass_converts_counts_to_milligrams_and_does_nothing_else() {
 fn friction_makes_a_heap_steeper() {
     let settings = repose::Settings::with_particles(600);
     let mean = |friction| {
-        (1..=4).map(|seed| repose(&set(&[("friction", friction)]), &settings, seed).unwrap().tip_deg).sum::<f64>() / 4.0
+        (1..=4)
+            .map(|seed| repose(&set(&[("friction", friction)]), &settings, seed).unwrap().tip_deg)
+            .sum::<f64>()
+            / 4.0
     };
     assert!(mean(1.3) > mean(0.0) + 10.0);
 }
@@ -168,12 +173,18 @@ fn a_grain_slides_down_an_incline_above_atan_mu_and_with_coulombs_acceleration()
 fn a_collision_keeps_momentum() {
     let law = law(&[("cohesion", 0.5), ("friction", 1.0)]);
     let mut cluster = Grains::default();
-    for (x, v) in [([0.0, 0.0, 0.0], 0.02), ([1.3, 0.3, 0.0], -0.05), ([0.4, 1.2, 0.2], 0.01), ([0.6, -1.1, 0.4], 0.03)]
-    {
+    for (x, v) in [
+        ([0.0, 0.0, 0.0], 0.02),
+        ([1.3, 0.3, 0.0], -0.05),
+        ([0.4, 1.2, 0.2], 0.01),
+        ([0.6, -1.1, 0.4], 0.03),
+    ] {
         cluster.pour(&law, vector(x[0], x[1], x[2]), vector(v, -v, 0.5 * v));
     }
     let momentum = |g: &Grains| -> Vector {
-        g.velocities().iter().fold([0.0; 4], |sum, v| [sum[0] + v[0], sum[1] + v[1], sum[2] + v[2], 0.0])
+        g.velocities()
+            .iter()
+            .fold([0.0; 4], |sum, v| [sum[0] + v[0], sum[1] + v[1], sum[2] + v[2], 0.0])
     };
     let before = momentum(&cluster);
     (0..400).for_each(|_| cluster.substep(&law, [0.0; 4], &Shape::Nowhere));
@@ -224,7 +235,10 @@ fn a_heap_rests_with_and_without_cohesion() {
         (vec![("friction", 0.3), ("cohesion", 1.2), ("gravity_scale", 0.3)], 0.1, 0.3),
     ] {
         let heap = repose(&set(&changes), &repose::Settings::default(), 3).unwrap();
-        assert!(heap.creep_deg_per_s.abs() < creep_max && heap.speed_rms_mm_s < speed_max, "{heap:?}");
+        assert!(
+            heap.creep_deg_per_s.abs() < creep_max && heap.speed_rms_mm_s < speed_max,
+            "{heap:?}"
+        );
         assert!(heap.overlap_mean < 0.005 && heap.overlap_max < 0.05, "{heap:?}");
     }
 }
@@ -251,7 +265,8 @@ fn every_path_gives_the_same_bytes() {
 
 #[test]
 fn a_level_spoon_keeps_its_powder_and_a_steep_shaken_one_gives_it_up() {
-    let settings = dispense::Settings { particles: 900, semi_axes_mm: [3.4, 2.4, 1.4], ..Default::default() };
+    let settings =
+        dispense::Settings { particles: 900, semi_axes_mm: [3.4, 2.4, 1.4], ..Default::default() };
     let full = Dispenser::new(&set(&[("friction", 0.6)]), &settings, 2);
     let total = full.spoon_mg();
     let mut level = full.clone();

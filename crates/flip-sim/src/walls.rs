@@ -54,7 +54,9 @@ impl Wall for Shape {
     #[inline(always)]
     fn touch<L: Lanes>(&self, p: V3<L>) -> Touch<L> {
         match self {
-            Self::Nowhere => Touch::still(L::splat(f32::MAX), [L::splat(0.0), L::splat(0.0), L::splat(1.0)]),
+            Self::Nowhere => {
+                Touch::still(L::splat(f32::MAX), [L::splat(0.0), L::splat(0.0), L::splat(1.0)])
+            }
             Self::Plate(plate) => plate.touch(p),
             Self::Bowl(bowl) => bowl.touch(p),
             Self::Plane(plane) => plane.touch(p),
@@ -160,8 +162,10 @@ impl Wall for Bowl {
         let gradient = [p[0] * inverse[0], p[1] * inverse[1], p[2] * inverse[2]];
         let steepness = inner(gradient, gradient).sqrt().max(L::splat(NEAREST));
         let f = f2.sqrt();
-        let bowl =
-            Touch::still(f * (one - f) / steepness - L::splat(RADIUS), scale(gradient, (zero - one) / steepness));
+        let bowl = Touch::still(
+            f * (one - f) / steepness - L::splat(RADIUS),
+            scale(gradient, (zero - one) / steepness),
+        );
         // Very close to the middle the first-order distance vanishes, but the bowl is deep.
         let middle = f2.below(L::splat(0.01));
         let bowl = Touch { gap: L::select(middle, L::splat(self.semi_axes[2]), bowl.gap), ..bowl };

@@ -95,7 +95,10 @@ impl Archives {
     /// # Errors
     /// [`Error::Corrupt`]: not a name assigned here.
     fn path(&self, file: &str) -> Result<PathBuf> {
-        let name = file.strip_prefix("audit/").and_then(|rest| rest.strip_suffix(".jsonl.gz")).unwrap_or_default();
+        let name = file
+            .strip_prefix("audit/")
+            .and_then(|rest| rest.strip_suffix(".jsonl.gz"))
+            .unwrap_or_default();
         let is_ours = !name.is_empty() && name.bytes().all(|b| b.is_ascii_hexdigit() || b == b'-');
         match is_ours {
             true => Ok(self.folder.join(format!("{name}.jsonl.gz"))),
@@ -134,10 +137,15 @@ impl Archives {
         DirBuilder::new().recursive(true).mode(0o700).create(&self.folder).map_err(failed)?;
         let part = self.folder.join(format!("{}.part", super::new_id()));
         let written = OpenOptions::new().create_new(true).write(true).mode(0o600).open(&part);
-        written.and_then(|mut it| it.write_all(bytes).and_then(|()| it.sync_all())).map_err(failed)?;
+        written
+            .and_then(|mut it| it.write_all(bytes).and_then(|()| it.sync_all()))
+            .map_err(failed)?;
         fs::rename(&part, &path).map_err(failed)?;
         let parent = self.folder.parent().unwrap_or(&self.folder);
-        [&self.folder, parent].into_iter().try_for_each(|it| File::open(it)?.sync_all()).map_err(failed)
+        [&self.folder, parent]
+            .into_iter()
+            .try_for_each(|it| File::open(it)?.sync_all())
+            .map_err(failed)
     }
 
     /// The records of a member, verified from the hash before them to that of the last.
@@ -148,7 +156,10 @@ impl Archives {
         let path = self.path(&away.file)?;
         let text = unpacked(&path, away).map_err(|source| Error::File { path, source })?;
         let damaged = |why: String| Error::Corrupt(format!("{}: {why}", away.file));
-        let lines = text.lines().map(serde_json::from_str).collect::<std::result::Result<Vec<Written>, _>>();
+        let lines = text
+            .lines()
+            .map(serde_json::from_str)
+            .collect::<std::result::Result<Vec<Written>, _>>();
         let records = lines.map_err(|error| damaged(error.to_string()))?;
         check(&records, away).map_err(damaged)?;
         Ok(records)
@@ -175,7 +186,10 @@ fn check(records: &[Written], away: &Away) -> std::result::Result<(), String> {
         // them.
         if record.weighing.as_ref() != Some(&away.weighing) {
             let of = record.weighing.as_deref().unwrap_or("no weighing");
-            return Err(format!("record {seq} is of {of}, the table of archives says {}", away.weighing));
+            return Err(format!(
+                "record {seq} is of {of}, the table of archives says {}",
+                away.weighing
+            ));
         }
         previous = &record.hash;
     }
@@ -262,7 +276,8 @@ pub(super) async fn aways(
         Some(weighing) => query.bind(weighing),
         None => query.bind(limit),
     };
-    let mut found = query.fetch_all(connection).await?.iter().map(away).collect::<Result<Vec<_>>>()?;
+    let mut found =
+        query.fetch_all(connection).await?.iter().map(away).collect::<Result<Vec<_>>>()?;
     if weighing.is_some() && order == Order::Newest {
         found.reverse();
     }
@@ -295,8 +310,9 @@ pub(super) async fn not_as_named(
     let query = sqlx::query_as(sql).bind(archive).bind(named.first).bind(named.last);
     let found: (i64, i64, i64, i64) = query.fetch_one(connection).await?;
     let said = (named.records, named.weighings, named.first, named.last);
-    let why =
-        |(records, weighings, first, last)| format!("{records} records of {weighings} weighings, {first} to {last}");
+    let why = |(records, weighings, first, last)| {
+        format!("{records} records of {weighings} weighings, {first} to {last}")
+    };
     Ok((found != said).then(|| {
         let (file, found, said) = (&named.file, why(found), why(said));
         Error::Corrupt(format!("{file}: the table of archives says {found}; {said} were archived"))
@@ -313,8 +329,7 @@ pub(super) async fn hash_at(connection: &mut SqliteConnection, seq: i64) -> Resu
         return Ok(None);
     }
     // Queried where a member ends or begins.
-    let sql =
-        "SELECT hash FROM audit_away WHERE last = ?1 UNION ALL SELECT before FROM audit_away WHERE first = ?1 + 1";
+    let sql = "SELECT hash FROM audit_away WHERE last = ?1 UNION ALL SELECT before FROM audit_away WHERE first = ?1 + 1";
     Ok(sqlx::query_scalar(sql).bind(seq).fetch_optional(connection).await?)
 }
 

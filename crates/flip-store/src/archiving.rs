@@ -88,24 +88,35 @@ impl Store {
             aways.push(self.away(run, (bytes.len() as u64, packed.len() as u64)).await?);
             bytes.extend(packed);
         }
-        let (Some(first), Some(last)) = (records.first(), records.last()) else { unreachable!("not empty") };
+        let (Some(first), Some(last)) = (records.first(), records.last()) else {
+            unreachable!("not empty")
+        };
         let (first, last, sha256) = (first.seq, last.seq, sha256_hex(&bytes));
         let file = format!("audit/{first:010}-{last:010}-{}.jsonl.gz", &sha256[..16]);
         aways.iter_mut().for_each(|away| away.file.clone_from(&file));
-        let weighings = records.iter().map(|record| &record.weighing).collect::<HashSet<_>>().len() as i64;
-        let named = Named { file, sha256, first, last, records: records.len() as i64, weighings, before };
+        let weighings =
+            records.iter().map(|record| &record.weighing).collect::<HashSet<_>>().len() as i64;
+        let named =
+            Named { file, sha256, first, last, records: records.len() as i64, weighings, before };
         Ok(Packed { named, bytes, aways })
     }
 
     /// Describe consecutive records, after verifying them.
     async fn away(&self, run: &[Written], (start, bytes): (u64, u64)) -> Result<Away> {
-        let (Some(first), Some(last)) = (run.first(), run.last()) else { unreachable!("not empty") };
-        let before = hash_at(&mut *self.long.acquire().await?, first.seq - 1).await?.unwrap_or_else(beginning);
+        let (Some(first), Some(last)) = (run.first(), run.last()) else {
+            unreachable!("not empty")
+        };
+        let before = hash_at(&mut *self.long.acquire().await?, first.seq - 1)
+            .await?
+            .unwrap_or_else(beginning);
         let mut previous = &before;
         for (record, seq) in run.iter().zip(first.seq..) {
             if let Some(why) = record.flaw(seq, previous) {
-                let advice = "`flip audit verify` goes through the whole record; it was left where it is";
-                return Err(Error::Corrupt(format!("record {seq} of the audit trail: {why}. {advice}")));
+                let advice =
+                    "`flip audit verify` goes through the whole record; it was left where it is";
+                return Err(Error::Corrupt(format!(
+                    "record {seq} of the audit trail: {why}. {advice}"
+                )));
             }
             previous = &record.hash;
         }
@@ -123,7 +134,10 @@ impl Store {
         }
         match read == records {
             true => Ok(()),
-            false => Err(Error::Corrupt(format!("{} was not read back as it was written", packed.named.file))),
+            false => Err(Error::Corrupt(format!(
+                "{} was not read back as it was written",
+                packed.named.file
+            ))),
         }
     }
 
@@ -133,7 +147,9 @@ impl Store {
         tx.name_archive(packed).await?;
         tx.commit().await?;
         // Only this shrinks the file; without it the space is available for other rows.
-        if let Err(error) = sqlx::query("PRAGMA incremental_vacuum(2000)").fetch_all(self.writer()?).await {
+        if let Err(error) =
+            sqlx::query("PRAGMA incremental_vacuum(2000)").fetch_all(self.writer()?).await
+        {
             tracing::warn!(%error, "the database keeps the room of what was archived");
         }
         Ok(())
@@ -142,10 +158,13 @@ impl Store {
 
 impl Tx {
     async fn name_archive(&mut self, packed: &Packed) -> Result<()> {
-        let said = serde_json::to_value(&packed.named).map_err(|error| Error::Corrupt(error.to_string()))?;
+        let said = serde_json::to_value(&packed.named)
+            .map_err(|error| Error::Corrupt(error.to_string()))?;
         self.audit_deed(None, DEED, said, now()).await?;
-        let archive: i64 =
-            sqlx::query("SELECT max(seq) AS seq FROM audit").fetch_one(&mut *self.inner).await?.plain("seq")?;
+        let archive: i64 = sqlx::query("SELECT max(seq) AS seq FROM audit")
+            .fetch_one(&mut *self.inner)
+            .await?
+            .plain("seq")?;
         for away in &packed.aways {
             // Detects another process's work where the file system has no locks.
             let left = "SELECT count(*) FROM audit WHERE seq BETWEEN ?1 AND ?2";
@@ -154,7 +173,9 @@ impl Tx {
                 return Err(Error::Archiving);
             }
             self.insert_away(away, archive).await?;
-            let gone = sqlx::query("DELETE FROM audit WHERE seq BETWEEN ?1 AND ?2").bind(away.first).bind(away.last);
+            let gone = sqlx::query("DELETE FROM audit WHERE seq BETWEEN ?1 AND ?2")
+                .bind(away.first)
+                .bind(away.last);
             gone.execute(&mut *self.inner).await?;
         }
         Ok(())

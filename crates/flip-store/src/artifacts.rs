@@ -66,7 +66,9 @@ impl Artifacts {
         let bytes = fs::read(&path).map_err(|source| Error::File { path: path.clone(), source })?;
         match sha256_hex(&bytes) == sha256 {
             true => Ok(bytes),
-            false => Err(Error::Corrupt(format!("{} does not hold what its name says", path.display()))),
+            false => {
+                Err(Error::Corrupt(format!("{} does not hold what its name says", path.display())))
+            }
         }
     }
 
@@ -78,10 +80,14 @@ impl Artifacts {
     fn sweep(&self, named: &HashSet<String>, grace: Duration) -> Result<()> {
         let is_named = |path: &PathBuf| file_name(path).is_some_and(|name| named.contains(name));
         let is_old = |path: &PathBuf| age(path).is_some_and(|age| age > grace);
-        let unnamed: Vec<_> = self.files()?.into_iter().filter(|path| !is_named(path) && is_old(path)).collect();
+        let unnamed: Vec<_> =
+            self.files()?.into_iter().filter(|path| !is_named(path) && is_old(path)).collect();
         if unnamed.len() > SWEPT_MAX {
             let count = unnamed.len();
-            tracing::warn!(count, "files that no row names were left where they are: is this the right database?");
+            tracing::warn!(
+                count,
+                "files that no row names were left where they are: is this the right database?"
+            );
             return Ok(());
         }
         unnamed.iter().try_for_each(|path| remove(path))
@@ -98,13 +104,19 @@ impl Artifacts {
     /// Our files, complete and half-written, recognised by their names; anything else here belongs
     /// to someone else.
     fn files(&self) -> Result<Vec<PathBuf>> {
-        let is_hex = |name: &str, digits: usize| name.len() == digits && name.bytes().all(|b| b.is_ascii_hexdigit());
+        let is_hex = |name: &str, digits: usize| {
+            name.len() == digits && name.bytes().all(|b| b.is_ascii_hexdigit())
+        };
         let mut found = Vec::new();
         for folder in entries(&self.folder)? {
-            let Some(prefix) = file_name(&folder).filter(|name| is_hex(name, 2) && folder.is_dir()) else { continue };
+            let Some(prefix) = file_name(&folder).filter(|name| is_hex(name, 2) && folder.is_dir())
+            else {
+                continue;
+            };
             let is_ours = |path: &PathBuf| {
                 let whole = |name: &str| is_hex(name, 64) && name.starts_with(prefix);
-                file_name(path).is_some_and(|name| whole(name) || name.ends_with(".part")) && path.is_file()
+                file_name(path).is_some_and(|name| whole(name) || name.ends_with(".part"))
+                    && path.is_file()
             };
             found.extend(entries(&folder)?.into_iter().filter(is_ours));
         }
@@ -160,7 +172,9 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
 
 fn remove(path: &Path) -> Result<()> {
     match fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(Error::File { path: path.to_owned(), source: error }),
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            Err(Error::File { path: path.to_owned(), source: error })
+        }
         _ => Ok(()),
     }
 }
@@ -201,7 +215,8 @@ mod tests {
         let young = artifacts.put(b"a restore brought it a moment ago").unwrap();
         artifacts.sweep(&HashSet::new(), SWEEP_GRACE).unwrap();
         assert!(artifacts.get(&young).is_ok());
-        let many: Vec<_> = (0..=SWEPT_MAX).map(|k| artifacts.put(&k.to_le_bytes()).unwrap()).collect();
+        let many: Vec<_> =
+            (0..=SWEPT_MAX).map(|k| artifacts.put(&k.to_le_bytes()).unwrap()).collect();
         artifacts.sweep(&HashSet::new(), Duration::ZERO).unwrap();
         assert!(many.iter().all(|sha256| artifacts.get(sha256).is_ok()));
     }
@@ -211,14 +226,18 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let artifacts = Artifacts::in_folder(folder.path().join("blobs"));
         let kept = artifacts.put(b"kept").unwrap();
-        let foreign = ["README", "ab", "lost+found/x", ".snapshot/ab/y", "cd/notes.txt", "cd/deeper/z"];
+        let foreign =
+            ["README", "ab", "lost+found/x", ".snapshot/ab/y", "cd/notes.txt", "cd/deeper/z"];
         for name in foreign {
             let path = artifacts.folder.join(name);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, b"theirs").unwrap();
         }
         artifacts.sweep(&HashSet::from([kept.clone()]), Duration::ZERO).unwrap();
-        assert!(foreign.iter().all(|name| artifacts.folder.join(name).exists()) && artifacts.get(&kept).is_ok());
+        assert!(
+            foreign.iter().all(|name| artifacts.folder.join(name).exists())
+                && artifacts.get(&kept).is_ok()
+        );
         let others = Artifacts::in_folder(folder.path().join("others"));
         fs::create_dir_all(&others.folder).unwrap();
         fs::write(others.folder.join("README"), b"theirs").unwrap();

@@ -116,12 +116,20 @@ pub(super) fn beginning() -> String {
 
 fn chained(previous: &str, seq: i64, at_ms: i64, about: About<'_>, body: &str) -> String {
     let weighing = about.weighing.unwrap_or_default();
-    hex::encode(Sha256::digest(format!("{previous}\n{seq}\n{at_ms}\n{weighing}\n{}\n{body}", about.kind)))
+    hex::encode(Sha256::digest(format!(
+        "{previous}\n{seq}\n{at_ms}\n{weighing}\n{}\n{body}",
+        about.kind
+    )))
 }
 
 impl Tx {
     /// Append a record to the chain.
-    pub async fn audit(&mut self, about: About<'_>, body: &impl Serialize, now: Timestamp) -> Result<()> {
+    pub async fn audit(
+        &mut self,
+        about: About<'_>,
+        body: &impl Serialize,
+        now: Timestamp,
+    ) -> Result<()> {
         let body = match about.kind {
             "person" | "intent" => json(&signed(body)?)?,
             _ => json(body)?,
@@ -147,7 +155,12 @@ impl Tx {
 
 impl Tx {
     /// Record a person's action on a weighing or the bench.
-    pub async fn audit_person(&mut self, weighing: Option<&str>, action: &str, now: Timestamp) -> Result<()> {
+    pub async fn audit_person(
+        &mut self,
+        weighing: Option<&str>,
+        action: &str,
+        now: Timestamp,
+    ) -> Result<()> {
         self.audit_deed(weighing, action, serde_json::json!({}), now).await
     }
 
@@ -193,12 +206,14 @@ impl Written {
         }
         let about = About { weighing: self.weighing.as_deref(), kind: &self.kind };
         let hash = chained(previous, seq, self.at, about, &self.body);
-        (hash != self.hash).then(|| "it is not what was written, or the one before it is not".to_owned())
+        (hash != self.hash)
+            .then(|| "it is not what was written, or the one before it is not".to_owned())
     }
 
     /// The record in the form returned to callers.
     pub(super) fn record(self) -> Result<AuditRecord> {
-        let body = serde_json::from_str(&self.body).map_err(|error| Error::Corrupt(format!("body: {error}")))?;
+        let body = serde_json::from_str(&self.body)
+            .map_err(|error| Error::Corrupt(format!("body: {error}")))?;
         let Self { seq, weighing, kind, hash, .. } = self;
         Ok(AuditRecord { seq, at: Timestamp::from_unix_ms(self.at), weighing, kind, body, hash })
     }
@@ -228,7 +243,8 @@ mod tests {
         // Including the two for the rows that a new database begins with.
         assert_eq!((whole.records, &whole.broken), (7, &None));
         let writer = store.writer().unwrap();
-        for sql in ["UPDATE audit SET body = '{}' WHERE seq = 3", "DELETE FROM audit WHERE seq = 5"] {
+        for sql in ["UPDATE audit SET body = '{}' WHERE seq = 3", "DELETE FROM audit WHERE seq = 5"]
+        {
             let refused = sqlx::query(sql).execute(writer).await.unwrap_err().to_string();
             assert!(refused.contains("only ever added to"), "{refused}");
         }
@@ -238,7 +254,10 @@ mod tests {
             ("DELETE FROM audit WHERE seq = 1", 2),
         ];
         for trigger in ["audit_stays", "audit_keeps"] {
-            sqlx::query(sqlx::AssertSqlSafe(format!("DROP TRIGGER {trigger}"))).execute(writer).await.unwrap();
+            sqlx::query(sqlx::AssertSqlSafe(format!("DROP TRIGGER {trigger}")))
+                .execute(writer)
+                .await
+                .unwrap();
         }
         for (sql, seq) in tampered {
             sqlx::query(sql).execute(writer).await.unwrap();

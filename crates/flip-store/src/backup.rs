@@ -95,7 +95,9 @@ async fn revoke_tokens(store: &Store) -> Result<usize> {
 }
 
 async fn copy_beside(from: &Path, to: &Path) -> Result<(Beside, Copied)> {
-    if fs::read_dir(to).is_ok_and(|mut found| found.next().is_some()) || (to.exists() && !to.is_dir()) {
+    if fs::read_dir(to).is_ok_and(|mut found| found.next().is_some())
+        || (to.exists() && !to.is_dir())
+    {
         return Err(Error::Occupied(to.to_owned()));
     }
     if !fs::metadata(from.join(DATABASE)).is_ok_and(|it| it.len() > 0) {
@@ -122,7 +124,8 @@ async fn hold(store: &Store, backup: Timestamp) -> Result<String> {
     }
     let mut tx = store.write().await?;
     tx.resume_bench(RESTORE, "held anew", now()).await?;
-    tx.hold_bench(&Held { at: now(), reason: reason.clone(), by: Some(RESTORE.to_owned()) }).await?;
+    tx.hold_bench(&Held { at: now(), reason: reason.clone(), by: Some(RESTORE.to_owned()) })
+        .await?;
     tx.commit().await?;
     Ok(reason)
 }
@@ -142,7 +145,8 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     sound::check(copy.reader(), &database).await?;
     let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(copy.reader()).await?;
     let mut lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
-    let named_archives: Vec<(String, String)> = sqlx::query_as(archive::NAMED).fetch_all(copy.reader()).await?;
+    let named_archives: Vec<(String, String)> =
+        sqlx::query_as(archive::NAMED).fetch_all(copy.reader()).await?;
     let archives = copy_archives(&named_archives, &archives(from), &archives(folder))?;
     lost.extend(archives.gone.into_iter().chain(archives.damaged.iter().cloned()));
     let found = copy.verify_audit(None).await?;
@@ -249,7 +253,8 @@ mod tests {
         for k in 0..n {
             let mut tx = store.write().await.unwrap();
             tx.insert_powder(&format!("powder_{k}"), "Powder").await.unwrap();
-            let said = serde_json::json!({ "powder": { "id": format!("powder_{k}"), "name": "Powder" } });
+            let said =
+                serde_json::json!({ "powder": { "id": format!("powder_{k}"), "name": "Powder" } });
             tx.audit_deed(None, "new powder", said, Timestamp::from_unix_ms(k)).await.unwrap();
             tx.commit().await.unwrap();
         }
@@ -259,7 +264,8 @@ mod tests {
     #[tokio::test]
     async fn a_backup_while_serving_holds_every_committed_row_and_comes_back() {
         let folder = tempfile::tempdir().unwrap();
-        let (data, kept, back) = (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
+        let (data, kept, back) =
+            (folder.path().join("data"), folder.path().join("kept"), folder.path().join("back"));
         // Open, so that everything may still be in the write-ahead log: a copy of flip.db alone had
         // 0 of 20.
         let store = with_powders(&data, 20).await;
@@ -270,24 +276,34 @@ mod tests {
         assert_eq!((&again.last_hash, again.records), (&made.last_hash, 22));
         let restored = Store::open(&back).await.unwrap();
         let count = "SELECT count(*) FROM powder WHERE id LIKE 'powder_%'";
-        assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(restored.reader()).await.unwrap(), 20);
+        assert_eq!(
+            sqlx::query_scalar::<_, i64>(count).fetch_one(restored.reader()).await.unwrap(),
+            20
+        );
         store.close().await;
         for path in [&kept, &back] {
             assert_eq!(fs::metadata(path).unwrap().permissions().mode() & 0o777, 0o700);
-            assert_eq!(fs::metadata(path.join(DATABASE)).unwrap().permissions().mode() & 0o777, 0o600);
+            assert_eq!(
+                fs::metadata(path.join(DATABASE)).unwrap().permissions().mode() & 0o777,
+                0o600
+            );
         }
     }
 
     #[tokio::test]
-    async fn a_restored_folder_holds_its_bench_until_a_person_resumes_and_the_backup_stays_as_it_is() {
+    async fn a_restored_folder_holds_its_bench_until_a_person_resumes_and_the_backup_stays_as_it_is()
+     {
         let folder = tempfile::tempdir().unwrap();
         let (data, kept) = (folder.path().join("data"), folder.path().join("kept"));
         let store = with_powders(&data, 3).await;
         copy(&data, &kept).await.unwrap();
         let mut tx = store.write().await.unwrap();
-        tx.hold_bench(&Held { at: now(), reason: "stop was pressed".into(), by: None }).await.unwrap();
+        tx.hold_bench(&Held { at: now(), reason: "stop was pressed".into(), by: None })
+            .await
+            .unwrap();
         tx.commit().await.unwrap();
-        let (stopped, before) = (folder.path().join("stopped"), fs::read(kept.join(DATABASE)).unwrap());
+        let (stopped, before) =
+            (folder.path().join("stopped"), fs::read(kept.join(DATABASE)).unwrap());
         copy(&data, &stopped).await.unwrap();
         for (backup, also) in [(&kept, ""), (&stopped, "It was held before: stop was pressed")] {
             let back = folder.path().join("back").join(backup.file_name().unwrap());
@@ -295,8 +311,16 @@ mod tests {
             let restored = Store::open(&back).await.unwrap();
             let held = restored.held().await.unwrap().expect("held");
             let at = written_at(&backup.join(DATABASE)).unwrap().to_string();
-            assert!(held.reason.starts_with(&format!("restored from a backup of {at}: look")), "{}", held.reason);
-            assert!(held.reason.ends_with(also) && made.held == Some(held.reason), "{:?}", made.held);
+            assert!(
+                held.reason.starts_with(&format!("restored from a backup of {at}: look")),
+                "{}",
+                held.reason
+            );
+            assert!(
+                held.reason.ends_with(also) && made.held == Some(held.reason),
+                "{:?}",
+                made.held
+            );
             // The hash noted at the backup is in the chain, and the hold comes after it.
             let verified = restored.verify_audit(Some(&made.last_hash)).await.unwrap();
             assert_eq!((verified.broken, verified.holds_hash), (None, Some(true)));
@@ -306,17 +330,27 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_token_that_was_revoked_after_the_backup_does_not_live_again_in_the_restored_folder() {
+    async fn a_token_that_was_revoked_after_the_backup_does_not_live_again_in_the_restored_folder()
+    {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         let store = Store::open(&path("data")).await.unwrap();
         let mut tx = store.write().await.unwrap();
         for id in ["00", "01"] {
-            let (name, role, created_at) = ("Ada".to_owned(), Role::Admin, Timestamp::from_unix_ms(1));
+            let (name, role, created_at) =
+                ("Ada".to_owned(), Role::Admin, Timestamp::from_unix_ms(1));
             let (expires_at, revoked_at, last_used_at) = (None, None, None);
             let id = id.to_owned();
-            let entry =
-                TokenEntry { id, name, role, may_clear: true, created_at, expires_at, revoked_at, last_used_at };
+            let entry = TokenEntry {
+                id,
+                name,
+                role,
+                may_clear: true,
+                created_at,
+                expires_at,
+                revoked_at,
+                last_used_at,
+            };
             tx.insert_token(&HashedToken { entry, sha256: vec![7; 32] }).await.unwrap();
         }
         tx.revoke_token("01", now()).await.unwrap();
@@ -328,15 +362,28 @@ mod tests {
 
         let restored = restore(&path("kept"), &path("back"), false).await.unwrap();
         let as_it_was = restore(&path("kept"), &path("as_it_was"), true).await.unwrap();
-        assert_eq!((restored.revoked_tokens, as_it_was.revoked_tokens), (Some(1), None), "one was revoked before");
+        assert_eq!(
+            (restored.revoked_tokens, as_it_was.revoked_tokens),
+            (Some(1), None),
+            "one was revoked before"
+        );
         let log = fs::metadata(path("back").join("flip.db-wal")).map_or(0, |it| it.len());
         assert_eq!(log, 0, "nothing is left in a log beside the database");
         for (name, left) in [("back", 0), ("as_it_was", 1)] {
             let store = Store::open(&path(name)).await.unwrap();
-            let open = store.every_token().await.unwrap().into_iter().filter(|it| it.entry.revoked_at.is_none());
+            let open = store
+                .every_token()
+                .await
+                .unwrap()
+                .into_iter()
+                .filter(|it| it.entry.revoked_at.is_none());
             assert_eq!(open.count(), left, "{name}");
             let found = store.verify_audit(Some(&restored.last_hash)).await.unwrap();
-            assert_eq!((found.broken, found.others, found.holds_hash), (None, Vec::new(), Some(true)), "{name}");
+            assert_eq!(
+                (found.broken, found.others, found.holds_hash),
+                (None, Vec::new(), Some(true)),
+                "{name}"
+            );
         }
     }
 
@@ -352,7 +399,8 @@ mod tests {
         assert!(matches!(none, Err(Error::Absent(_))), "{none:?}");
         fs::write(folder.path().join("file"), b"x").unwrap();
         assert!(matches!(copy(&data, &folder.path().join("file")).await, Err(Error::Occupied(_))));
-        let names: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|it| it.unwrap().file_name()).collect();
+        let names: Vec<_> =
+            fs::read_dir(folder.path()).unwrap().map(|it| it.unwrap().file_name()).collect();
         assert_eq!(names.len(), 2, "{names:?}");
     }
 

@@ -39,12 +39,17 @@ impl Store {
 
     /// As [`Store::latch`], on a separate connection that nobody else waits for.
     pub async fn latch_apart(&self) -> Result<Option<Latch>> {
-        let row = sqlx::query("SELECT * FROM latch WHERE cleared_at IS NULL").fetch_optional(&self.apart).await?;
+        let row = sqlx::query("SELECT * FROM latch WHERE cleared_at IS NULL")
+            .fetch_optional(&self.apart)
+            .await?;
         row.as_ref().map(latch).transpose()
     }
 
     /// The latest check of this kind, and when it was made.
-    pub async fn newest_check<T: DeserializeOwned>(&self, kind: CheckKind) -> Result<Option<(Timestamp, T)>> {
+    pub async fn newest_check<T: DeserializeOwned>(
+        &self,
+        kind: CheckKind,
+    ) -> Result<Option<(Timestamp, T)>> {
         let sql = "SELECT at, body FROM bench_check WHERE kind = ?1 ORDER BY seq DESC LIMIT 1";
         let row = sqlx::query(sql).bind(word(&kind)).fetch_optional(&self.reader).await?;
         row.map(|row| Ok((row.time("at")?, row.json("body")?))).transpose()
@@ -65,7 +70,12 @@ impl Tx {
             .bind(latched.bench.as_ref().map(word))
             .execute(&mut *self.inner)
             .await?;
-        self.audit(About { weighing: latched.weighing.as_deref(), kind: "latch" }, latched, latched.at).await?;
+        self.audit(
+            About { weighing: latched.weighing.as_deref(), kind: "latch" },
+            latched,
+            latched.at,
+        )
+        .await?;
         self.emit(BENCH_TOPIC, "latched", latched).await?;
         Ok(latched.clone())
     }
@@ -77,11 +87,18 @@ impl Tx {
 
     /// Clear the latch after a person has checked the bench; returns the latch, if there was one:
     /// an arm may be latched while the bench is not.
-    pub async fn clear_latch(&mut self, by: &str, note: &str, now: Timestamp) -> Result<Option<Latch>> {
+    pub async fn clear_latch(
+        &mut self,
+        by: &str,
+        note: &str,
+        now: Timestamp,
+    ) -> Result<Option<Latch>> {
         let latched = self.latch().await?;
-        let sql = "UPDATE latch SET cleared_at = ?1, cleared_by = ?2, note = ?3 WHERE cleared_at IS NULL";
+        let sql =
+            "UPDATE latch SET cleared_at = ?1, cleared_by = ?2, note = ?3 WHERE cleared_at IS NULL";
         sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note).execute(&mut *self.inner).await?;
-        let said = serde_json::json!({ "action": "clear", "by": by, "note": note, "latch": latched });
+        let said =
+            serde_json::json!({ "action": "clear", "by": by, "note": note, "latch": latched });
         let weighing = latched.as_ref().and_then(|latch| latch.weighing.as_deref());
         self.audit(About { weighing, kind: "person" }, &said, now).await?;
         self.emit(BENCH_TOPIC, "cleared", &said).await?;
@@ -89,17 +106,33 @@ impl Tx {
     }
 
     /// Store a check of the bench.
-    pub async fn insert_check(&mut self, kind: CheckKind, body: &impl Serialize, now: Timestamp) -> Result<()> {
+    pub async fn insert_check(
+        &mut self,
+        kind: CheckKind,
+        body: &impl Serialize,
+        now: Timestamp,
+    ) -> Result<()> {
         let sql = "INSERT INTO bench_check (at, kind, body) VALUES (?1, ?2, ?3)";
-        sqlx::query(sql).bind(now.unix_ms()).bind(word(&kind)).bind(json(body)?).execute(&mut *self.inner).await?;
+        sqlx::query(sql)
+            .bind(now.unix_ms())
+            .bind(word(&kind))
+            .bind(json(body)?)
+            .execute(&mut *self.inner)
+            .await?;
         let said = serde_json::json!({ "check": word(&kind), "found": body });
         self.audit(About { weighing: None, kind: "check" }, &said, now).await
     }
 }
 
 fn latch(row: &SqliteRow) -> Result<Latch> {
-    let bench = row.plain::<Option<String>>("bench")?.is_some().then(|| row.word("bench")).transpose()?;
-    Ok(Latch { at: row.time("at")?, reason: row.plain("reason")?, weighing: row.plain("weighing")?, bench })
+    let bench =
+        row.plain::<Option<String>>("bench")?.is_some().then(|| row.word("bench")).transpose()?;
+    Ok(Latch {
+        at: row.time("at")?,
+        reason: row.plain("reason")?,
+        weighing: row.plain("weighing")?,
+        bench,
+    })
 }
 
 #[cfg(test)]

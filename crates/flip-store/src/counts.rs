@@ -20,7 +20,8 @@ pub struct Counts {
 impl Store {
     /// All counts.
     pub async fn counts(&self) -> Result<Counts> {
-        let sql = "SELECT kind, state, count(*) AS n FROM job GROUP BY kind, state ORDER BY kind, state";
+        let sql =
+            "SELECT kind, state, count(*) AS n FROM job GROUP BY kind, state ORDER BY kind, state";
         let jobs = sqlx::query(sql).fetch_all(&self.reader).await?;
         let sql = "SELECT state, outcome, count(*) AS n FROM weighing GROUP BY state, outcome ORDER BY state, outcome";
         let weighings = sqlx::query(sql).fetch_all(&self.reader).await?;
@@ -29,7 +30,9 @@ impl Store {
         let oldest = sqlx::query(sql).fetch_one(&self.reader).await?;
         let waits_s = |column| {
             let since: Option<i64> = oldest.plain(column)?;
-            Ok::<_, super::Error>(since.map_or(0.0, |ms| (now().unix_ms() - ms).max(0) as f64 / 1000.0))
+            Ok::<_, super::Error>(
+                since.map_or(0.0, |ms| (now().unix_ms() - ms).max(0) as f64 / 1000.0),
+            )
         };
         Ok(Counts {
             waits_s: [("jobs", waits_s("job")?), ("weighings", waits_s("weighing")?)],

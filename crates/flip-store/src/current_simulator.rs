@@ -28,7 +28,8 @@ struct Chosen<'a> {
 impl Store {
     /// The latest choice, and the one before it; empty if there has been none.
     pub async fn simulator_choices(&self) -> Result<Vec<Choice>> {
-        let rows = sqlx::query("SELECT * FROM current_simulator ORDER BY seq DESC LIMIT 2").fetch_all(&self.reader);
+        let rows = sqlx::query("SELECT * FROM current_simulator ORDER BY seq DESC LIMIT 2")
+            .fetch_all(&self.reader);
         rows.await?.iter().map(choice).collect()
     }
 }
@@ -37,7 +38,12 @@ impl Tx {
     /// Choose an existing version, or the base. Choosing the current version changes nothing.
     pub async fn choose_simulator(&mut self, version: Option<&str>) -> Result<()> {
         let newest = "SELECT * FROM current_simulator ORDER BY seq DESC LIMIT 1";
-        let newest = sqlx::query(newest).fetch_optional(&mut *self.inner).await?.as_ref().map(choice).transpose()?;
+        let newest = sqlx::query(newest)
+            .fetch_optional(&mut *self.inner)
+            .await?
+            .as_ref()
+            .map(choice)
+            .transpose()?;
         let before = newest.and_then(|newest| newest.version);
         if before.as_deref() == version {
             return Ok(());
@@ -45,7 +51,13 @@ impl Tx {
         let sql = "INSERT INTO current_simulator (version, chosen_at) VALUES (?1, ?2)";
         sqlx::query(sql).bind(version).bind(now().unix_ms()).execute(&mut *self.inner).await?;
         let chosen = Chosen { version, before: before.as_deref() };
-        self.audit_deed(None, "choose simulator", serde_json::json!({ "simulator": chosen }), now()).await?;
+        self.audit_deed(
+            None,
+            "choose simulator",
+            serde_json::json!({ "simulator": chosen }),
+            now(),
+        )
+        .await?;
         self.emit(SIMULATOR_TOPIC, "current", &chosen).await
     }
 }

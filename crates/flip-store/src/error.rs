@@ -9,10 +9,14 @@ pub enum Error {
     #[error("flip serve holds this database ({0}): stop it, or ask it through its API")]
     Held(PathBuf),
     /// One process at a time moves records into archives.
-    #[error("another archiving of the audit trail is under way: wait until it has ended, and ask again")]
+    #[error(
+        "another archiving of the audit trail is under way: wait until it has ended, and ask again"
+    )]
     Archiving,
     /// Another program's transaction did not end in time.
-    #[error("another program holds the database: close it there (a database browser, a backup) and try again")]
+    #[error(
+        "another program holds the database: close it there (a database browser, a backup) and try again"
+    )]
     Locked,
     /// Too many requests are already waiting.
     #[error("the database is busy: try again in a moment")]

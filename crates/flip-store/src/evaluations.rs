@@ -68,16 +68,28 @@ pub struct EvaluationSummary {
 impl Store {
     /// The doses of an evaluation stored so far, by key.
     pub async fn doses<T: DeserializeOwned>(&self, evaluation: &str) -> Result<HashMap<String, T>> {
-        let rows = sqlx::query("SELECT key, body FROM dose WHERE job = ?1").bind(evaluation).fetch_all(&self.reader);
+        let rows = sqlx::query("SELECT key, body FROM dose WHERE job = ?1")
+            .bind(evaluation)
+            .fetch_all(&self.reader);
         rows.await?.iter().map(|row| Ok((row.plain("key")?, row.json("body")?))).collect()
     }
 }
 
 impl Tx {
     /// Store a dose. The key rejects one that is already stored.
-    pub async fn insert_dose(&mut self, evaluation: &str, key: &str, dose: &impl Serialize) -> Result<()> {
+    pub async fn insert_dose(
+        &mut self,
+        evaluation: &str,
+        key: &str,
+        dose: &impl Serialize,
+    ) -> Result<()> {
         let sql = "INSERT INTO dose (job, key, body) VALUES (?1, ?2, ?3)";
-        sqlx::query(sql).bind(evaluation).bind(key).bind(json(dose)?).execute(&mut *self.inner).await?;
+        sqlx::query(sql)
+            .bind(evaluation)
+            .bind(key)
+            .bind(json(dose)?)
+            .execute(&mut *self.inner)
+            .await?;
         Ok(())
     }
 

@@ -26,20 +26,31 @@ pub struct Event {
 
 impl Store {
     /// Events after `after`, oldest first, at most `limit`; of one topic if given.
-    pub async fn events_after(&self, topic: Option<&str>, after: i64, limit: u32) -> Result<Vec<Event>> {
+    pub async fn events_after(
+        &self,
+        topic: Option<&str>,
+        after: i64,
+        limit: u32,
+    ) -> Result<Vec<Event>> {
         let query = match topic {
-            Some(topic) => sqlx::query("SELECT * FROM event WHERE topic = ?3 AND seq > ?1 ORDER BY seq LIMIT ?2")
+            Some(topic) => sqlx::query(
+                "SELECT * FROM event WHERE topic = ?3 AND seq > ?1 ORDER BY seq LIMIT ?2",
+            )
+            .bind(after)
+            .bind(limit)
+            .bind(topic),
+            None => sqlx::query("SELECT * FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2")
                 .bind(after)
-                .bind(limit)
-                .bind(topic),
-            None => sqlx::query("SELECT * FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2").bind(after).bind(limit),
+                .bind(limit),
         };
         query.fetch_all(&self.reader).await?.iter().map(event).collect()
     }
 
     /// Number of the latest event, whichever process wrote it; 0 if there is none.
     pub async fn newest_event(&self) -> Result<i64> {
-        Ok(sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event").fetch_one(&self.reader).await?)
+        Ok(sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event")
+            .fetch_one(&self.reader)
+            .await?)
     }
 
     /// Watches the number of the latest committed event.
@@ -65,7 +76,12 @@ impl Tx {
 
     /// Like [`Tx::emit`], but only the latest event of this kind is kept: a client that resumes
     /// does not need old progress.
-    pub async fn emit_latest(&mut self, topic: &str, kind: &str, data: &impl Serialize) -> Result<()> {
+    pub async fn emit_latest(
+        &mut self,
+        topic: &str,
+        kind: &str,
+        data: &impl Serialize,
+    ) -> Result<()> {
         let sql = "DELETE FROM event WHERE topic = ?1 AND kind = ?2";
         sqlx::query(sql).bind(topic).bind(kind).execute(&mut *self.inner).await?;
         self.emit(topic, kind, data).await

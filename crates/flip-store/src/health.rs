@@ -50,7 +50,8 @@ impl Store {
     pub async fn health(&self) -> Health {
         // A database elsewhere would be created again under its name, or answer in place of the one
         // that is gone.
-        let database = if self.place.check().is_ok() { self.try_to_write().await } else { self.place.check() };
+        let database =
+            if self.place.check().is_ok() { self.try_to_write().await } else { self.place.check() };
         // Checked last: if the folder has disappeared meanwhile, that is why the database fails.
         let folder = self.place.check();
         Health {
@@ -87,7 +88,8 @@ impl Store {
             transaction.rollback().await?;
         } else {
             // Its present value: a page is written, and nothing is changed.
-            let version: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *transaction).await?;
+            let version: i64 =
+                sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *transaction).await?;
             sqlx::query(sqlx::AssertSqlSafe(format!("PRAGMA user_version = {version}")))
                 .execute(&mut *transaction)
                 .await?;
@@ -101,7 +103,9 @@ impl Store {
         let folder = self.place.path().parent()?;
         let free = match rustix::fs::statvfs(folder) {
             Ok(disk) => disk.f_bavail.saturating_mul(disk.f_frsize),
-            Err(error) => return Some(format!("the disk of {} cannot be asked: {error}", folder.display())),
+            Err(error) => {
+                return Some(format!("the disk of {} cannot be asked: {error}", folder.display()));
+            }
         };
         let mib = |bytes: u64| bytes >> 20;
         (free < FREE_MIN).then(|| {
@@ -116,6 +120,7 @@ impl Store {
 
     fn lack_of_lock(&self) -> Option<String> {
         let held = self.lock.as_ref().is_some_and(|lock| lock.is_in_place());
-        (!held).then(|| "flip.lock was removed or replaced while FLIP ran: start FLIP anew".to_owned())
+        (!held)
+            .then(|| "flip.lock was removed or replaced while FLIP ran: start FLIP anew".to_owned())
     }
 }

@@ -43,10 +43,13 @@ impl Tx {
 
     /// Resume the bench, so that doses can start again. `false`: it was not held.
     pub async fn resume_bench(&mut self, by: &str, note: &str, now: Timestamp) -> Result<bool> {
-        let Some(open) = sqlx::query(OPEN).fetch_optional(&mut *self.inner).await? else { return Ok(false) };
+        let Some(open) = sqlx::query(OPEN).fetch_optional(&mut *self.inner).await? else {
+            return Ok(false);
+        };
         let sql = "UPDATE bench_hold SET resumed_at = ?1, resumed_by = ?2, note = ?3 WHERE resumed_at IS NULL";
         sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note).execute(&mut *self.inner).await?;
-        let said = serde_json::json!({ "action": "resume", "by": by, "note": note, "held": held(&open)? });
+        let said =
+            serde_json::json!({ "action": "resume", "by": by, "note": note, "held": held(&open)? });
         self.audit(About { weighing: None, kind: "person" }, &said, now).await?;
         self.emit(BENCH_TOPIC, "resumed", &said).await?;
         Ok(true)
@@ -79,6 +82,9 @@ mod tests {
         let mut tx = store.write().await.unwrap();
         assert!(tx.resume_bench("Ada", "vial exchanged", now()).await.unwrap());
         tx.commit().await.unwrap();
-        assert_eq!((store.held().await.unwrap(), store.verify_audit(None).await.unwrap().records), (None, 4));
+        assert_eq!(
+            (store.held().await.unwrap(), store.verify_audit(None).await.unwrap().records),
+            (None, 4)
+        );
     }
 }

@@ -49,7 +49,12 @@ pub fn job_topic(id: &str) -> String {
 
 impl Store {
     /// Jobs, newest first; of one kind or state if given.
-    pub async fn jobs(&self, kind: Option<JobKind>, state: Option<JobState>, window: Window) -> Result<Page<Job>> {
+    pub async fn jobs(
+        &self,
+        kind: Option<JobKind>,
+        state: Option<JobState>,
+        window: Window,
+    ) -> Result<Page<Job>> {
         // Without specification and result, which may be half a megabyte each.
         let sql = "SELECT seq, id, kind, state, fraction, message, attempts, cancel_requested, created_at, started_at, finished_at, error \
                    FROM job WHERE seq < ?1 AND (?3 IS NULL OR kind = ?3) AND (?4 IS NULL OR state = ?4) \
@@ -78,7 +83,10 @@ impl Store {
 
     /// One job.
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>> {
-        let row = sqlx::query("SELECT * FROM job WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        let row = sqlx::query("SELECT * FROM job WHERE id = ?1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?;
         row.as_ref().map(job_row).transpose()
     }
 
@@ -110,8 +118,11 @@ impl Tx {
         spec_sha256: &[u8],
         now: Timestamp,
     ) -> Result<(Job, bool)> {
-        let sql = "SELECT * FROM job WHERE spec_sha256 = ?1 AND state NOT IN ('failed', 'cancelled')";
-        if let Some(row) = sqlx::query(sql).bind(spec_sha256).fetch_optional(&mut *self.inner).await? {
+        let sql =
+            "SELECT * FROM job WHERE spec_sha256 = ?1 AND state NOT IN ('failed', 'cancelled')";
+        if let Some(row) =
+            sqlx::query(sql).bind(spec_sha256).fetch_optional(&mut *self.inner).await?
+        {
             return Ok((job(&row)?, false));
         }
         let sql = "INSERT INTO job (id, kind, spec, spec_sha256, state, message, created_at) \
@@ -134,7 +145,8 @@ impl Tx {
                        finished_at = CASE state WHEN 'queued' THEN ?2 END,
                        state = CASE state WHEN 'queued' THEN 'cancelled' ELSE state END
                    WHERE id = ?1 AND state IN ('queued', 'running') RETURNING *";
-        let row = sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
+        let row =
+            sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
         match row {
             Some(row) => Ok(Some(self.announce_job(&row).await?)),
             None => Ok(None),

@@ -74,7 +74,9 @@ impl Store {
         let sql = "SELECT id, kind, fence FROM job \
                    WHERE state = 'queued' OR (state = 'running' AND lease_until < ?1) ORDER BY seq";
         let rows = sqlx::query(sql).bind(now.unix_ms()).fetch_all(&self.reader).await?;
-        let lease = |row: &SqliteRow| Ok::<_, Error>(Lease { job: row.plain("id")?, fence: row.plain("fence")? });
+        let lease = |row: &SqliteRow| {
+            Ok::<_, Error>(Lease { job: row.plain("id")?, fence: row.plain("fence")? })
+        };
         rows.iter().map(|row| Ok((row.word("kind")?, lease(row)?))).collect()
     }
 
@@ -93,8 +95,17 @@ impl Store {
 
 impl Tx {
     /// Claim a job until `until`.
-    pub async fn claim(&mut self, id: &str, owner: &str, now: Timestamp, until: Timestamp) -> Result<Claim> {
-        let row = sqlx::query("SELECT * FROM job WHERE id = ?1").bind(id).fetch_optional(&mut *self.inner).await?;
+    pub async fn claim(
+        &mut self,
+        id: &str,
+        owner: &str,
+        now: Timestamp,
+        until: Timestamp,
+    ) -> Result<Claim> {
+        let row = sqlx::query("SELECT * FROM job WHERE id = ?1")
+            .bind(id)
+            .fetch_optional(&mut *self.inner)
+            .await?;
         let Some(row) = row else { return Ok(Claim::Ended) };
         let state: JobState = row.word("state")?;
         if state.is_terminal() {
@@ -109,15 +120,23 @@ impl Tx {
         }
         let deaths = row.count("deaths")? + u32::from(state == JobState::Running);
         if deaths >= DEATHS_MAX {
-            let error =
-                format!("gave up: the process ended {deaths} times during this job with nothing saved in between");
+            let error = format!(
+                "gave up: the process ended {deaths} times during this job with nothing saved in between"
+            );
             self.end_unclaimed(id, JobState::Failed, Some(&error), now).await?;
             return Ok(Claim::Ended);
         }
         self.grant(id, owner, deaths, now, until).await
     }
 
-    async fn grant(&mut self, id: &str, owner: &str, deaths: u32, now: Timestamp, until: Timestamp) -> Result<Claim> {
+    async fn grant(
+        &mut self,
+        id: &str,
+        owner: &str,
+        deaths: u32,
+        now: Timestamp,
+        until: Timestamp,
+    ) -> Result<Claim> {
         let sql = "UPDATE job SET state = 'running', fence = fence + 1, attempts = attempts + 1, deaths = ?5, \
                    owner = ?2, lease_until = ?3, message = 'begins', started_at = coalesce(started_at, ?4) \
                    WHERE id = ?1 RETURNING *";
@@ -140,13 +159,21 @@ impl Tx {
 
     /// Drop the checkpoint of a job that ends: nothing will resume from it.
     async fn unname_checkpoint(&mut self, id: &str) -> Result<()> {
-        let old = sqlx::query_scalar("SELECT checkpoint FROM job WHERE id = ?1 AND checkpoint IS NOT NULL");
+        let old = sqlx::query_scalar(
+            "SELECT checkpoint FROM job WHERE id = ?1 AND checkpoint IS NOT NULL",
+        );
         let old: Option<String> = old.bind(id).fetch_optional(&mut *self.inner).await?;
         self.unnamed.extend(old);
         Ok(())
     }
 
-    async fn end_unclaimed(&mut self, id: &str, state: JobState, error: Option<&str>, now: Timestamp) -> Result<()> {
+    async fn end_unclaimed(
+        &mut self,
+        id: &str,
+        state: JobState,
+        error: Option<&str>,
+        now: Timestamp,
+    ) -> Result<()> {
         self.unname_checkpoint(id).await?;
         let sql = "UPDATE job SET state = ?2, error = coalesce(?3, error), owner = NULL, lease_until = NULL, \
                    checkpoint = NULL, finished_at = ?4 WHERE id = ?1 RETURNING *";
@@ -190,8 +217,13 @@ impl Tx {
                    WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
         // A fraction that is not a number would violate the row's check constraint and fail the
         // job.
-        let fraction = if progress.fraction.is_finite() { progress.fraction.clamp(0.0, 1.0) } else { 0.0 };
-        let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(fraction).bind(&progress.message);
+        let fraction =
+            if progress.fraction.is_finite() { progress.fraction.clamp(0.0, 1.0) } else { 0.0 };
+        let row = sqlx::query(sql)
+            .bind(&lease.job)
+            .bind(lease.fence)
+            .bind(fraction)
+            .bind(&progress.message);
         held(row.fetch_optional(&mut *self.inner).await?)?;
         self.emit_latest(&job_topic(&lease.job), "progress", progress).await
     }
@@ -212,13 +244,20 @@ impl Tx {
         let sql = "UPDATE job SET state = 'succeeded', result = ?3, fraction = 1, message = 'done', error = NULL, \
                    owner = NULL, lease_until = NULL, checkpoint = NULL, finished_at = ?4 \
                    WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
-        let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(result).bind(now.unix_ms());
+        let row =
+            sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(result).bind(now.unix_ms());
         let row = held(row.fetch_optional(&mut *self.inner).await?)?;
         self.announce_job(&row).await.map(drop)
     }
 
     /// End the job without a result.
-    pub async fn end(&mut self, lease: &Lease, state: JobState, error: Option<&str>, now: Timestamp) -> Result<()> {
+    pub async fn end(
+        &mut self,
+        lease: &Lease,
+        state: JobState,
+        error: Option<&str>,
+        now: Timestamp,
+    ) -> Result<()> {
         debug_assert!(matches!(state, JobState::Failed | JobState::Cancelled));
         self.prove(lease).await?;
         self.end_unclaimed(&lease.job, state, error, now).await
@@ -228,12 +267,18 @@ impl Tx {
     pub async fn retry(&mut self, lease: &Lease, error: &str, now: Timestamp) -> Result<()> {
         let failures = self.prove(lease).await?.count("failures")? + 1;
         if failures >= FAILURES_MAX {
-            let error = format!("gave up after {failures} attempts with nothing saved in between: {error}");
+            let error =
+                format!("gave up after {failures} attempts with nothing saved in between: {error}");
             return self.end_unclaimed(&lease.job, JobState::Failed, Some(&error), now).await;
         }
         let sql = "UPDATE job SET state = 'queued', failures = ?2, error = ?3, message = 'waits to be tried again', \
                    owner = NULL, lease_until = NULL WHERE id = ?1 RETURNING *";
-        let row = sqlx::query(sql).bind(&lease.job).bind(failures).bind(error).fetch_one(&mut *self.inner).await?;
+        let row = sqlx::query(sql)
+            .bind(&lease.job)
+            .bind(failures)
+            .bind(error)
+            .fetch_one(&mut *self.inner)
+            .await?;
         self.announce_job(&row).await.map(drop)
     }
 

@@ -129,7 +129,8 @@ impl Store {
         self.apart.close().await;
         self.long.close().await;
         if let Some(writer) = self.writer.as_ref().filter(|writer| !writer.is_closed()) {
-            if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await {
+            if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await
+            {
                 tracing::warn!(%error, "the write-ahead log was not checkpointed; SQLite does it at the next start");
             }
             writer.close().await;
@@ -159,7 +160,9 @@ impl Tx {
         self.store.note_written(committed.as_ref().err());
         committed?;
         if let Some(seq) = self.newest_event {
-            self.store.newest_event.send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
+            self.store
+                .newest_event
+                .send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
         }
         for sha256 in self.unnamed {
             if let Err(error) = self.store.forget_artifact(&sha256).await {
@@ -177,7 +180,8 @@ impl Tx {
 
 /// Current wall-clock time.
 pub fn now() -> Timestamp {
-    let since_1970 = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
+    let since_1970 =
+        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
     Timestamp::from_unix_ms(since_1970.as_millis() as i64)
 }
 

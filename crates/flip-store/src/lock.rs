@@ -26,7 +26,13 @@ impl DataLock {
         let failed = |source| Error::File { path: path.clone(), source };
         let held = || Error::Held(data_dir.to_owned());
         let mut options = OpenOptions::new();
-        let file = options.create(true).truncate(false).write(true).mode(0o600).open(&path).map_err(failed)?;
+        let file = options
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .mode(0o600)
+            .open(&path)
+            .map_err(failed)?;
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(held()),
@@ -89,7 +95,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let first = DataLock::take(folder.path()).unwrap();
         let refused = DataLock::take(folder.path()).unwrap_err();
-        assert!(matches!(refused, Error::Held(_)) && refused.to_string().contains("flip serve holds this database"));
+        assert!(
+            matches!(refused, Error::Held(_))
+                && refused.to_string().contains("flip serve holds this database")
+        );
         drop(first);
         DataLock::take(folder.path()).unwrap();
     }

@@ -31,27 +31,48 @@ pub struct PowderObservation {
 
 impl Store {
     /// Observations of a powder, oldest first.
-    pub async fn observations(&self, powder: &str, window: Window) -> Result<Page<PowderObservation>> {
-        let rows = sqlx::query("SELECT * FROM observation WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3")
-            .bind(powder)
-            .bind(window.after())
-            .bind(window.rows())
-            .fetch_all(&self.reader)
-            .await?;
+    pub async fn observations(
+        &self,
+        powder: &str,
+        window: Window,
+    ) -> Result<Page<PowderObservation>> {
+        let rows = sqlx::query(
+            "SELECT * FROM observation WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3",
+        )
+        .bind(powder)
+        .bind(window.after())
+        .bind(window.rows())
+        .fetch_all(&self.reader)
+        .await?;
         window.page_of(&rows, observation)
     }
 
     /// Every observation, oldest first; of one powder if given.
     pub async fn all_observations(&self, powder: Option<&str>) -> Result<Vec<PowderObservation>> {
         let sql = "SELECT * FROM observation WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
-        sqlx::query(sql).bind(powder).fetch_all(&self.reader).await?.iter().map(observation).collect()
+        sqlx::query(sql)
+            .bind(powder)
+            .fetch_all(&self.reader)
+            .await?
+            .iter()
+            .map(observation)
+            .collect()
     }
 
     /// Observations after a position, oldest first, at most a few thousand, and the position of the
     /// last one; of one powder if given.
-    pub async fn observations_after(&self, powder: Option<&str>, after: i64) -> Result<(Vec<PowderObservation>, i64)> {
+    pub async fn observations_after(
+        &self,
+        powder: Option<&str>,
+        after: i64,
+    ) -> Result<(Vec<PowderObservation>, i64)> {
         let sql = "SELECT * FROM observation WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
-        let rows = sqlx::query(sql).bind(powder).bind(after).bind(LONG_BATCH).fetch_all(&self.long).await?;
+        let rows = sqlx::query(sql)
+            .bind(powder)
+            .bind(after)
+            .bind(LONG_BATCH)
+            .fetch_all(&self.long)
+            .await?;
         let last = rows.last().map_or(Ok(after), |row| row.plain("seq"))?;
         Ok((rows.iter().map(observation).collect::<Result<_>>()?, last))
     }
@@ -67,8 +88,10 @@ impl Store {
                 newest.push(Observation { observable, mean, sd, n });
             }
         }
-        let mut keyed: Vec<(String, Observation)> =
-            newest.into_iter().map(|known| Ok((json(&known.observable)?, known))).collect::<Result<_>>()?;
+        let mut keyed: Vec<(String, Observation)> = newest
+            .into_iter()
+            .map(|known| Ok((json(&known.observable)?, known)))
+            .collect::<Result<_>>()?;
         keyed.sort_by(|(a, _), (b, _)| a.cmp(b));
         Ok(keyed.into_iter().map(|(_, known)| known).collect())
     }
@@ -82,8 +105,7 @@ impl Tx {
         observed: &Observation,
         source: &str,
     ) -> Result<PowderObservation> {
-        let sql =
-            "INSERT INTO observation (id, powder, body, source, created_at) VALUES (?1, ?2, ?3, ?4, ?5) RETURNING *";
+        let sql = "INSERT INTO observation (id, powder, body, source, created_at) VALUES (?1, ?2, ?3, ?4, ?5) RETURNING *";
         let row = sqlx::query(sql)
             .bind(new_id())
             .bind(powder)

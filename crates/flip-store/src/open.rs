@@ -6,7 +6,9 @@ use super::lock::DataLock;
 use super::place::Place;
 use super::{Error, Result, Store, sound};
 use sqlx::migrate::Migrator;
-use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::sqlite::{
+    SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
+};
 use sqlx::{Row, SqlitePool};
 use std::path::Path;
 use std::sync::Arc;
@@ -86,13 +88,19 @@ impl Store {
         Self::assemble(data_dir, Some(writer), None).await
     }
 
-    async fn assemble(data_dir: &Path, writer: Option<SqlitePool>, lock: Option<Arc<DataLock>>) -> Result<Self> {
+    async fn assemble(
+        data_dir: &Path,
+        writer: Option<SqlitePool>,
+        lock: Option<Arc<DataLock>>,
+    ) -> Result<Self> {
         let options = connection(data_dir).read_only(true);
         let reader = connections(READERS).connect_with(options.clone()).await?;
         let long = connections(LONG_READERS).connect_lazy_with(options.clone());
         let apart = connections(1).connect_with(options).await?;
         sound::check_version(&reader, &migrations()).await?;
-        let newest: i64 = sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event").fetch_one(&reader).await?;
+        let newest: i64 = sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event")
+            .fetch_one(&reader)
+            .await?;
         Ok(Self {
             reader,
             apart,
@@ -109,7 +117,10 @@ impl Store {
 }
 
 fn connection(data_dir: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new().filename(data_dir.join(DATABASE)).foreign_keys(true).busy_timeout(BUSY_TIMEOUT)
+    SqliteConnectOptions::new()
+        .filename(data_dir.join(DATABASE))
+        .foreign_keys(true)
+        .busy_timeout(BUSY_TIMEOUT)
 }
 
 /// A connection to an existing database with short waits.
@@ -150,7 +161,8 @@ fn migrations() -> Migrator {
 }
 
 async fn check_library(pool: &SqlitePool) -> Result<()> {
-    let version: String = sqlx::query("SELECT sqlite_version()").fetch_one(pool).await?.try_get(0)?;
+    let version: String =
+        sqlx::query("SELECT sqlite_version()").fetch_one(pool).await?.try_get(0)?;
     match is_new_enough(&version) {
         true => Ok(()),
         false => Err(Error::Old(version)),
@@ -180,7 +192,10 @@ mod tests {
         let writer = store.writer().unwrap();
         let pragma = async |name: &'static str| -> String {
             let row = sqlx::query(name).fetch_one(writer).await.unwrap();
-            row.try_get::<i64, _>(0).map(|n| n.to_string()).or_else(|_| row.try_get::<String, _>(0)).unwrap()
+            row.try_get::<i64, _>(0)
+                .map(|n| n.to_string())
+                .or_else(|_| row.try_get::<String, _>(0))
+                .unwrap()
         };
         assert_eq!(pragma("PRAGMA journal_mode").await, "wal");
         assert_eq!(pragma("PRAGMA synchronous").await, "2");
@@ -195,7 +210,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let mut before = migrations();
         before.migrations.to_mut().retain(|migration| migration.version < 10);
-        let options = connection(folder.path()).create_if_missing(true).journal_mode(SqliteJournalMode::Wal);
+        let options =
+            connection(folder.path()).create_if_missing(true).journal_mode(SqliteJournalMode::Wal);
         let pool = SqlitePoolOptions::new().max_connections(1).connect_with(options).await.unwrap();
         before.run(&pool).await.unwrap();
         for sql in [
@@ -224,10 +240,15 @@ mod tests {
         let store = Store::open(folder.path()).await.unwrap();
         let writer = store.writer().unwrap();
         assert_eq!(rows(writer).await, jobs);
-        let count = async |sql: &'static str| -> i64 { sqlx::query_scalar(sql).fetch_one(writer).await.unwrap() };
+        let count = async |sql: &'static str| -> i64 {
+            sqlx::query_scalar(sql).fetch_one(writer).await.unwrap()
+        };
         assert_eq!(count("SELECT count(*) FROM pragma_foreign_key_check").await, 0);
         assert_eq!(count("SELECT count(*) FROM trial JOIN job ON job.id = trial.job").await, 2);
-        assert_eq!(count("SELECT count(*) FROM policy JOIN job ON job.id = policy.training").await, 1);
+        assert_eq!(
+            count("SELECT count(*) FROM policy JOIN job ON job.id = policy.training").await,
+            1
+        );
         assert_eq!(
             count("SELECT count(*) FROM sqlite_schema WHERE type = 'index' AND tbl_name = 'job' AND sql IS NOT NULL")
                 .await,
@@ -241,7 +262,10 @@ mod tests {
         // References are enforced again.
         assert!(sqlx::query("DELETE FROM job WHERE id = 'c'").execute(writer).await.is_err());
         assert!(
-            sqlx::query("INSERT INTO trial (job, position, body) VALUES ('x', 0, '{}')").execute(writer).await.is_err()
+            sqlx::query("INSERT INTO trial (job, position, body) VALUES ('x', 0, '{}')")
+                .execute(writer)
+                .await
+                .is_err()
         );
     }
 
@@ -252,8 +276,10 @@ mod tests {
         let store = Store::open(folder.path()).await.unwrap();
         assert!(matches!(Store::open(folder.path()).await, Err(Error::Held(_))));
         let reader = Store::open_to_read(folder.path()).await.unwrap();
-        let count: i64 =
-            sqlx::query_scalar("SELECT count(*) FROM measurement").fetch_one(&reader.reader).await.unwrap();
+        let count: i64 = sqlx::query_scalar("SELECT count(*) FROM measurement")
+            .fetch_one(&reader.reader)
+            .await
+            .unwrap();
         assert_eq!(count, 10);
         assert!(matches!(reader.write().await, Err(Error::ReadOnly)));
         drop(store);

@@ -59,7 +59,10 @@ impl PageQuery {
     pub fn window(&self, limit_max: u32) -> std::result::Result<Window, FieldError> {
         let limit = self.limit.unwrap_or(LIMIT_DEFAULT.min(limit_max));
         if !(1..=limit_max).contains(&limit) {
-            return Err(FieldError::new("limit", format!("must be from 1 to {limit_max}, got {limit}")));
+            return Err(FieldError::new(
+                "limit",
+                format!("must be from 1 to {limit_max}, got {limit}"),
+            ));
         }
         let after = self.after.as_deref().map(decode).transpose()?;
         Ok(Window { after, limit })
@@ -83,8 +86,13 @@ impl Window {
     }
 
     /// The page made of up to [`Window::rows`] rows with a `seq` column.
-    pub(super) fn page_of<T>(&self, rows: &[SqliteRow], item: impl Fn(&SqliteRow) -> Result<T>) -> Result<Page<T>> {
-        let numbered: Result<Vec<_>> = rows.iter().map(|row| Ok((row.plain("seq")?, item(row)?))).collect();
+    pub(super) fn page_of<T>(
+        &self,
+        rows: &[SqliteRow],
+        item: impl Fn(&SqliteRow) -> Result<T>,
+    ) -> Result<Page<T>> {
+        let numbered: Result<Vec<_>> =
+            rows.iter().map(|row| Ok((row.plain("seq")?, item(row)?))).collect();
         Ok(self.page(numbered?))
     }
 
@@ -128,7 +136,10 @@ mod tests {
     #[test]
     fn limits_and_cursors_from_outside_are_refused_by_name() {
         let refused = |limit, after: Option<&str>| {
-            PageQuery { limit, after: after.map(str::to_owned) }.window(LIST_LIMIT_MAX).unwrap_err().field
+            PageQuery { limit, after: after.map(str::to_owned) }
+                .window(LIST_LIMIT_MAX)
+                .unwrap_err()
+                .field
         };
         assert_eq!(refused(Some(0), None), "limit");
         assert_eq!(refused(Some(201), None), "limit");

@@ -40,7 +40,8 @@ impl Store {
 
     /// The last reservation, which may have ended.
     pub async fn reservation(&self) -> Result<Option<Reservation>> {
-        let row = sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&self.reader).await?;
+        let row =
+            sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&self.reader).await?;
         row.as_ref().map(reservation).transpose()
     }
 }
@@ -48,8 +49,7 @@ impl Store {
 impl Tx {
     /// Update the state of the pan.
     pub async fn set_pan(&mut self, pan: &Pan) -> Result<()> {
-        let sql =
-            "INSERT INTO bench_pan (one, body) VALUES (1, ?1) ON CONFLICT (one) DO UPDATE SET body = excluded.body";
+        let sql = "INSERT INTO bench_pan (one, body) VALUES (1, ?1) ON CONFLICT (one) DO UPDATE SET body = excluded.body";
         sqlx::query(sql).bind(json(pan)?).execute(&mut *self.inner).await?;
         self.emit(BENCH_TOPIC, "vial", &serde_json::json!({ "vial": pan.vial })).await
     }
@@ -68,20 +68,30 @@ impl Tx {
 
     /// Why a weighing or a measurement with this reservation, or none, may not be requested now, as
     /// seen inside the requesting transaction.
-    pub async fn may_use_bench(&mut self, named: Option<&str>, now: Timestamp) -> Result<Option<Refused>> {
-        let row = sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&mut *self.inner).await?;
+    pub async fn may_use_bench(
+        &mut self,
+        named: Option<&str>,
+        now: Timestamp,
+    ) -> Result<Option<Refused>> {
+        let row =
+            sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&mut *self.inner).await?;
         let reserved = row.as_ref().map(reservation).transpose()?;
         Ok(refusal(reserved.filter(|it| it.until > now), named))
     }
 
     /// Why the bench cannot be reserved now: extended under this id, or newly without one.
-    pub async fn may_reserve(&mut self, id: Option<&str>, now: Timestamp) -> Result<Option<Refused>> {
+    pub async fn may_reserve(
+        &mut self,
+        id: Option<&str>,
+        now: Timestamp,
+    ) -> Result<Option<Refused>> {
         let refused = self.may_use_bench(id, now).await?;
         if refused.is_some() || id.is_some() {
             return Ok(refused);
         }
         let first = "SELECT id FROM weighing WHERE outcome IS NULL ORDER BY seq LIMIT 1";
-        let first: Option<String> = sqlx::query_scalar(first).fetch_optional(&mut *self.inner).await?;
+        let first: Option<String> =
+            sqlx::query_scalar(first).fetch_optional(&mut *self.inner).await?;
         Ok(first.map(Refused::InUse))
     }
 
@@ -89,7 +99,10 @@ impl Tx {
     pub async fn reserve_bench(&mut self, reserved: &Reservation, now: Timestamp) -> Result<()> {
         let sql = "INSERT INTO bench_reservation (one, id, owner, until) VALUES (1, ?1, ?2, ?3) \
                    ON CONFLICT (one) DO UPDATE SET id = excluded.id, owner = excluded.owner, until = excluded.until";
-        let row = sqlx::query(sql).bind(&reserved.id).bind(&reserved.owner).bind(reserved.until.unix_ms());
+        let row = sqlx::query(sql)
+            .bind(&reserved.id)
+            .bind(&reserved.owner)
+            .bind(reserved.until.unix_ms());
         row.execute(&mut *self.inner).await?;
         let said = serde_json::json!({ "action": "reserve", "reservation": reserved });
         self.audit(About { weighing: None, kind: "person" }, &said, now).await?;
@@ -98,8 +111,10 @@ impl Tx {
 
     /// Release a reservation. `false`: it is not the current one.
     pub async fn release_bench(&mut self, id: &str, now: Timestamp) -> Result<bool> {
-        let deleted =
-            sqlx::query("DELETE FROM bench_reservation WHERE id = ?1").bind(id).execute(&mut *self.inner).await?;
+        let deleted = sqlx::query("DELETE FROM bench_reservation WHERE id = ?1")
+            .bind(id)
+            .execute(&mut *self.inner)
+            .await?;
         if deleted.rows_affected() == 0 {
             return Ok(false);
         }
@@ -133,9 +148,22 @@ mod tests {
     async fn the_pan_and_the_reservation_are_there_after_a_restart() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
-        assert_eq!((store.pan().await.unwrap(), store.reservation().await.unwrap()), (Pan::default(), None));
-        let vial = Vial { name: Some("A".into()), weighing: "w".into(), holds_mg: Some(8.0), since: now() };
-        let pan = Pan { vial: Some(vial), zero_mg: Some(12_000.0), shown_mg: Some(8.0), empties_mg: vec![12_000.0] };
+        assert_eq!(
+            (store.pan().await.unwrap(), store.reservation().await.unwrap()),
+            (Pan::default(), None)
+        );
+        let vial = Vial {
+            name: Some("A".into()),
+            weighing: "w".into(),
+            holds_mg: Some(8.0),
+            since: now(),
+        };
+        let pan = Pan {
+            vial: Some(vial),
+            zero_mg: Some(12_000.0),
+            shown_mg: Some(8.0),
+            empties_mg: vec![12_000.0],
+        };
         let reserved = Reservation { id: "rs-1".into(), owner: "Ada".into(), until: now() };
         let mut tx = store.write().await.unwrap();
         tx.set_pan(&Pan::default()).await.unwrap();
@@ -145,8 +173,14 @@ mod tests {
         store.close().await;
         drop(store);
         let store = Store::open(folder.path()).await.unwrap();
-        assert_eq!((store.pan().await.unwrap(), store.reservation().await.unwrap()), (pan, Some(reserved)));
+        assert_eq!(
+            (store.pan().await.unwrap(), store.reservation().await.unwrap()),
+            (pan, Some(reserved))
+        );
         let mut tx = store.write().await.unwrap();
-        assert!(!tx.release_bench("rs-2", now()).await.unwrap() && tx.release_bench("rs-1", now()).await.unwrap());
+        assert!(
+            !tx.release_bench("rs-2", now()).await.unwrap()
+                && tx.release_bench("rs-1", now()).await.unwrap()
+        );
     }
 }

@@ -48,7 +48,11 @@ pub struct NewSet {
 
 impl Store {
     /// Calibrated sets, newest first; of one powder if given.
-    pub async fn parameter_sets(&self, powder: Option<&str>, window: Window) -> Result<Page<CalibratedSet>> {
+    pub async fn parameter_sets(
+        &self,
+        powder: Option<&str>,
+        window: Window,
+    ) -> Result<Page<CalibratedSet>> {
         let query = match powder {
             Some(powder) => {
                 let sql = "SELECT * FROM parameter_set WHERE powder = ?3 AND seq < ?1 ORDER BY seq DESC LIMIT ?2";
@@ -70,25 +74,32 @@ impl Store {
         simulator: Option<&str>,
         window: Window,
     ) -> Result<Page<CalibratedSet>> {
-        let sql =
-            "SELECT * FROM parameter_set WHERE powder = ?3 AND simulator IS ?4 AND seq < ?1 ORDER BY seq DESC LIMIT ?2";
-        let query = sqlx::query(sql).bind(window.before()).bind(window.rows()).bind(powder).bind(simulator);
+        let sql = "SELECT * FROM parameter_set WHERE powder = ?3 AND simulator IS ?4 AND seq < ?1 ORDER BY seq DESC LIMIT ?2";
+        let query =
+            sqlx::query(sql).bind(window.before()).bind(window.rows()).bind(powder).bind(simulator);
         window.page_of(&query.fetch_all(&self.reader).await?, calibrated_set)
     }
 
     /// One calibrated set; if several calibrations kept the same values, the latest.
     pub async fn parameter_set(&self, id: &str) -> Result<Option<CalibratedSet>> {
-        let row = sqlx::query("SELECT * FROM parameter_set WHERE id = ?1 ORDER BY seq DESC LIMIT 1")
-            .bind(id)
-            .fetch_optional(&self.reader)
-            .await?;
+        let row =
+            sqlx::query("SELECT * FROM parameter_set WHERE id = ?1 ORDER BY seq DESC LIMIT 1")
+                .bind(id)
+                .fetch_optional(&self.reader)
+                .await?;
         row.as_ref().map(calibrated_set).transpose()
     }
 
     /// The sets kept by a calibration, in its order.
     pub async fn sets_of_calibration(&self, calibration: &str) -> Result<Vec<CalibratedSet>> {
         let sql = "SELECT * FROM parameter_set WHERE calibration = ?1 ORDER BY position";
-        sqlx::query(sql).bind(calibration).fetch_all(&self.reader).await?.iter().map(calibrated_set).collect()
+        sqlx::query(sql)
+            .bind(calibration)
+            .fetch_all(&self.reader)
+            .await?
+            .iter()
+            .map(calibrated_set)
+            .collect()
     }
 }
 

@@ -49,7 +49,12 @@ impl Store {
     /// Piles of a measurement, in order.
     pub async fn piles(&self, job: &str) -> Result<Vec<Pile>> {
         let rows = sqlx::query("SELECT number, body FROM pile WHERE job = ?1 ORDER BY number");
-        rows.bind(job).fetch_all(&self.reader).await?.iter().map(|row: &SqliteRow| row.json("body")).collect()
+        rows.bind(job)
+            .fetch_all(&self.reader)
+            .await?
+            .iter()
+            .map(|row: &SqliteRow| row.json("body"))
+            .collect()
     }
 
     /// Number of camera measurements requested for a powder.

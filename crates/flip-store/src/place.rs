@@ -75,11 +75,16 @@ mod tests {
     async fn a_locked_database_is_not_called_a_full_disk() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
-        let other = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
+        let other =
+            sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
         let other = sqlx::SqlitePool::connect_with(other).await.unwrap();
         let _held = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
         sqlx::query("PRAGMA busy_timeout = 1").execute(store.writer().unwrap()).await.unwrap();
         let refused = store.write().await.unwrap_err();
-        assert!(refused.remedy().contains("another program holds the database"), "{}", refused.remedy());
+        assert!(
+            refused.remedy().contains("another program holds the database"),
+            "{}",
+            refused.remedy()
+        );
     }
 }

@@ -44,11 +44,12 @@ pub struct PolicyError {
 impl Store {
     /// Policies, newest first.
     pub async fn policies(&self, window: Window) -> Result<Page<Policy>> {
-        let rows = sqlx::query("SELECT * FROM policy_card WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2")
-            .bind(window.before())
-            .bind(window.rows())
-            .fetch_all(&self.reader)
-            .await?;
+        let rows =
+            sqlx::query("SELECT * FROM policy_card WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2")
+                .bind(window.before())
+                .bind(window.rows())
+                .fetch_all(&self.reader)
+                .await?;
         let mut page = window.page_of(&rows, policy)?;
         for policy in &mut page.items {
             policy.evaluated = self.policy_errors(&policy.id).await?;
@@ -58,7 +59,10 @@ impl Store {
 
     /// One policy.
     pub async fn policy(&self, id: &str) -> Result<Option<Policy>> {
-        let row = sqlx::query("SELECT * FROM policy_card WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        let row = sqlx::query("SELECT * FROM policy_card WHERE id = ?1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?;
         let Some(row) = row else { return Ok(None) };
         Ok(Some(Policy { evaluated: self.policy_errors(id).await?, ..policy(&row)? }))
     }
@@ -69,7 +73,9 @@ impl Store {
     /// [`Error::Corrupt`] when they are not what was stored.
     pub async fn policy_bytes(&self, id: &str) -> Result<Option<Vec<u8>>> {
         let sql = "SELECT bytes, sha256 FROM policy WHERE id = ?1";
-        let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&self.reader).await? else { return Ok(None) };
+        let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&self.reader).await? else {
+            return Ok(None);
+        };
         let bytes: Vec<u8> = row.plain("bytes")?;
         match sha256_hex(&bytes) == row.plain::<String>("sha256")? {
             true => Ok(Some(bytes)),
@@ -91,7 +97,11 @@ impl Store {
                    WHERE policy = ?1 GROUP BY powder ORDER BY powder";
         let rows = sqlx::query(sql).bind(policy).fetch_all(&self.reader).await?;
         let error = |row: &SqliteRow| {
-            Ok(PolicyError { powder: row.plain("powder")?, mae_mg: row.plain("mae_mg")?, n: row.count("n")? })
+            Ok(PolicyError {
+                powder: row.plain("powder")?,
+                mae_mg: row.plain("mae_mg")?,
+                n: row.count("n")?,
+            })
         };
         rows.iter().map(error).collect()
     }

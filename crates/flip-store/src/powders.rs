@@ -59,37 +59,59 @@ impl Store {
 
     /// One powder.
     pub async fn powder(&self, id: &str) -> Result<Option<Powder>> {
-        let row = sqlx::query("SELECT * FROM powder_now WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        let row = sqlx::query("SELECT * FROM powder_now WHERE id = ?1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?;
         row.as_ref().map(powder).transpose()
     }
 
     /// Id and name of every powder, oldest first.
     pub async fn powder_names(&self) -> Result<Vec<(String, String)>> {
-        Ok(sqlx::query_as("SELECT id, name FROM powder ORDER BY seq").fetch_all(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT id, name FROM powder ORDER BY seq")
+            .fetch_all(&self.reader)
+            .await?)
     }
 
     /// Measurements of a powder, oldest first.
     pub async fn measurements(&self, powder: &str, window: Window) -> Result<Page<Measurement>> {
-        let rows = sqlx::query("SELECT * FROM measurement WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3")
-            .bind(powder)
-            .bind(window.after())
-            .bind(window.rows())
-            .fetch_all(&self.reader)
-            .await?;
+        let rows = sqlx::query(
+            "SELECT * FROM measurement WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3",
+        )
+        .bind(powder)
+        .bind(window.after())
+        .bind(window.rows())
+        .fetch_all(&self.reader)
+        .await?;
         window.page_of(&rows, measurement)
     }
 
     /// Every measurement, oldest first; of one powder if given.
     pub async fn all_measurements(&self, powder: Option<&str>) -> Result<Vec<Measurement>> {
         let sql = "SELECT * FROM measurement WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
-        sqlx::query(sql).bind(powder).fetch_all(&self.reader).await?.iter().map(measurement).collect()
+        sqlx::query(sql)
+            .bind(powder)
+            .fetch_all(&self.reader)
+            .await?
+            .iter()
+            .map(measurement)
+            .collect()
     }
 
     /// Measurements after a position, oldest first, at most a few thousand, and the position of the
     /// last one; of one powder if given.
-    pub async fn measurements_after(&self, powder: Option<&str>, after: i64) -> Result<(Vec<Measurement>, i64)> {
+    pub async fn measurements_after(
+        &self,
+        powder: Option<&str>,
+        after: i64,
+    ) -> Result<(Vec<Measurement>, i64)> {
         let sql = "SELECT * FROM measurement WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
-        let rows = sqlx::query(sql).bind(powder).bind(after).bind(LONG_BATCH).fetch_all(&self.long).await?;
+        let rows = sqlx::query(sql)
+            .bind(powder)
+            .bind(after)
+            .bind(LONG_BATCH)
+            .fetch_all(&self.long)
+            .await?;
         let last = rows.last().map_or(Ok(after), |row| row.plain("seq"))?;
         Ok((rows.iter().map(measurement).collect::<Result<_>>()?, last))
     }
@@ -98,13 +120,17 @@ impl Store {
     /// alone.
     pub(super) async fn seed_published_powders(&self) -> Result<()> {
         let mut tx = self.write().await?;
-        let seeded: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM powder)").fetch_one(&mut *tx.inner).await?;
+        let seeded: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM powder)")
+            .fetch_one(&mut *tx.inner)
+            .await?;
         if seeded {
             return Ok(());
         }
         for row in PUBLISHED {
             tx.insert_powder(row.id, row.name).await?;
-            for (method, flowability) in [(Method::Automated, row.automated), (Method::Manual, row.manual)] {
+            for (method, flowability) in
+                [(Method::Automated, row.automated), (Method::Manual, row.manual)]
+            {
                 tx.insert_measurement(row.id, method, flowability, PUBLISHED_SOURCE).await?;
             }
         }
@@ -117,7 +143,12 @@ impl Tx {
     pub async fn insert_powder(&mut self, id: &str, name: &str) -> Result<Option<Timestamp>> {
         let at = now();
         let sql = "INSERT INTO powder (id, name, created_at) VALUES (?1, ?2, ?3) ON CONFLICT (id) DO NOTHING";
-        let done = sqlx::query(sql).bind(id).bind(name).bind(at.unix_ms()).execute(&mut *self.inner).await?;
+        let done = sqlx::query(sql)
+            .bind(id)
+            .bind(name)
+            .bind(at.unix_ms())
+            .execute(&mut *self.inner)
+            .await?;
         Ok((done.rows_affected() == 1).then_some(at))
     }
 
@@ -148,10 +179,17 @@ impl Tx {
 
 fn powder(row: &SqliteRow) -> Result<Powder> {
     let flowability = match row.plain::<Option<f64>>("repose_deg")? {
-        Some(repose_deg) => Some(Flowability { repose_deg, sd_deg: row.plain("sd_deg")?, n: row.count("n")? }),
+        Some(repose_deg) => {
+            Some(Flowability { repose_deg, sd_deg: row.plain("sd_deg")?, n: row.count("n")? })
+        }
         None => None,
     };
-    Ok(Powder { id: row.plain("id")?, name: row.plain("name")?, flowability, created_at: row.time("created_at")? })
+    Ok(Powder {
+        id: row.plain("id")?,
+        name: row.plain("name")?,
+        flowability,
+        created_at: row.time("created_at")?,
+    })
 }
 
 fn measurement(row: &SqliteRow) -> Result<Measurement> {

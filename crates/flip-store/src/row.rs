@@ -45,7 +45,8 @@ impl Columns for SqliteRow {
 
     fn word<T: DeserializeOwned>(&self, column: &str) -> Result<T> {
         let name: String = self.plain(column)?;
-        serde_json::from_value(name.into()).map_err(|error| Error::Corrupt(format!("{column}: {error}")))
+        serde_json::from_value(name.into())
+            .map_err(|error| Error::Corrupt(format!("{column}: {error}")))
     }
 
     fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T> {
@@ -69,5 +70,6 @@ pub(super) fn word<T: Serialize>(value: &T) -> String {
 
 /// A JSON document.
 pub(super) fn json<T: Serialize>(value: &T) -> Result<String> {
-    serde_json::to_string(value).map_err(|error| Error::Corrupt(format!("cannot be written as JSON: {error}")))
+    serde_json::to_string(value)
+        .map_err(|error| Error::Corrupt(format!("cannot be written as JSON: {error}")))
 }

@@ -15,7 +15,9 @@ use sqlx::{Sqlite, Transaction};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Type of a row.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum RowOf {
     /// A token, except when it was last used.
@@ -113,7 +115,8 @@ const TABLES: [(RowOf, &str); 10] = [
 impl Said {
     /// Note the state of a row given by a record, if any.
     pub(super) fn hear(&mut self, record: &Written) {
-        if !matches!(record.kind.as_str(), "person" | "rows" | "check" | "latch" | "hold" | "stock") {
+        if !matches!(record.kind.as_str(), "person" | "rows" | "check" | "latch" | "hold" | "stock")
+        {
             return;
         }
         let Ok(body) = serde_json::from_str::<Value>(&record.body) else { return };
@@ -121,7 +124,12 @@ impl Said {
             "rows" => self.hear_rows(record.seq, &body),
             "check" => {
                 let id = check_id(&body["check"], record.at);
-                self.say(RowOf::Check, id, record.seq, &json!({ "check": body["check"], "found": body["found"] }));
+                self.say(
+                    RowOf::Check,
+                    id,
+                    record.seq,
+                    &json!({ "check": body["check"], "found": body["found"] }),
+                );
             }
             "latch" => self.say_open(RowOf::Latch, record.seq, &body, true),
             "hold" => self.say_open(RowOf::Hold, record.seq, &body, true),
@@ -140,13 +148,19 @@ impl Said {
                 self.say(RowOf::Token, named("token"), seq, &ended);
             }
             "new powder" => self.say(RowOf::Powder, named("powder"), seq, &body["powder"]),
-            "new measurement" => self.say(RowOf::Measurement, named("measurement"), seq, &body["measurement"]),
-            "new observation" => self.say(RowOf::Observation, named("observation"), seq, &body["observation"]),
+            "new measurement" => {
+                self.say(RowOf::Measurement, named("measurement"), seq, &body["measurement"])
+            }
+            "new observation" => {
+                self.say(RowOf::Observation, named("observation"), seq, &body["observation"])
+            }
             "choose simulator" => {
                 let chosen = json!({ "version": body["simulator"]["version"] });
                 self.say(RowOf::Simulator, CHOSEN.to_owned(), seq, &chosen);
             }
-            "clear" if body["latch"].is_object() => self.say_open(RowOf::Latch, seq, &body["latch"], false),
+            "clear" if body["latch"].is_object() => {
+                self.say_open(RowOf::Latch, seq, &body["latch"], false)
+            }
             "resume" => self.say_open(RowOf::Hold, seq, &body["held"], false),
             _ => {}
         }
@@ -186,11 +200,19 @@ impl Said {
         let said = self.rows.get(&(what, id.to_owned())).map(|(_, said)| said);
         let is_new = |name: &String| said.is_none_or(|said| !said.contains_key(name));
         let row: Map<String, Value> = row.into_iter().filter(|(name, _)| is_new(name)).collect();
-        (!row.is_empty() && what != RowOf::ParameterSet).then(|| Row { what, id: id.to_owned(), row })
+        (!row.is_empty() && what != RowOf::ParameterSet).then(|| Row {
+            what,
+            id: id.to_owned(),
+            row,
+        })
     }
 
     /// Rows that do not match the record, ordered by type.
-    pub(super) async fn compare(&self, tx: &mut Transaction<'_, Sqlite>, most: usize) -> Result<Vec<ChangedOther>> {
+    pub(super) async fn compare(
+        &self,
+        tx: &mut Transaction<'_, Sqlite>,
+        most: usize,
+    ) -> Result<Vec<ChangedOther>> {
         let (mut changed, mut seen) = (Vec::new(), BTreeSet::new());
         for (what, id, row) in every_row(tx).await? {
             let said = self.rows.get(&(what, id.clone()));
@@ -232,7 +254,8 @@ pub(super) async fn every_row(tx: &mut Transaction<'_, Sqlite>) -> Result<Vec<Fo
     for (what, sql) in TABLES {
         for row in sqlx::query(sql).fetch_all(&mut **tx).await? {
             let id = id_of(what, &row)?;
-            let said = row_says(what, &row).map_err(|error| format!("its row does not read as one: {error}"));
+            let said = row_says(what, &row)
+                .map_err(|error| format!("its row does not read as one: {error}"));
             let said = said.and_then(|said| match said {
                 Value::Object(fields) => Ok(fields),
                 _ => Ok(Map::new()),
@@ -263,28 +286,41 @@ fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
     let text = |column: &str| row.plain::<Option<String>>(column);
     Ok(match what {
         RowOf::Token => tokens::says(row)?,
-        RowOf::Powder => json!({ "id": text("id")?, "name": text("name")?, "created_at": row.time("created_at")? }),
-        RowOf::Measurement => json!({ "id": text("id")?, "powder": text("powder")?, "method": text("method")?,
+        RowOf::Powder => {
+            json!({ "id": text("id")?, "name": text("name")?, "created_at": row.time("created_at")? })
+        }
+        RowOf::Measurement => {
+            json!({ "id": text("id")?, "powder": text("powder")?, "method": text("method")?,
             "repose_deg": row.plain::<f64>("repose_deg")?, "sd_deg": row.plain::<f64>("sd_deg")?, "n": row.count("n")?,
-            "source": text("source")?, "created_at": row.time("created_at")? }),
+            "source": text("source")?, "created_at": row.time("created_at")? })
+        }
         RowOf::Observation => {
             let body: Value = row.json("body")?;
             json!({ "id": text("id")?, "powder": text("powder")?, "observable": body["observable"], "mean": body["mean"],
                 "sd": body["sd"], "n": body["n"], "source": text("source")?, "created_at": row.time("created_at")? })
         }
         RowOf::Check => json!({ "check": text("kind")?, "found": row.json::<Value>("body")? }),
-        RowOf::Latch => json!({ "at": row.time("at")?, "reason": text("reason")?, "weighing": text("weighing")?,
-            "open": row.maybe_time("cleared_at")?.is_none() }),
-        RowOf::Hold => json!({ "at": row.time("at")?, "reason": text("reason")?, "by": text("held_by")?,
-            "open": row.maybe_time("resumed_at")?.is_none() }),
+        RowOf::Latch => {
+            json!({ "at": row.time("at")?, "reason": text("reason")?, "weighing": text("weighing")?,
+            "open": row.maybe_time("cleared_at")?.is_none() })
+        }
+        RowOf::Hold => {
+            json!({ "at": row.time("at")?, "reason": text("reason")?, "by": text("held_by")?,
+            "open": row.maybe_time("resumed_at")?.is_none() })
+        }
         RowOf::Simulator => json!({ "version": text("version")? }),
-        RowOf::ParameterSet => json!({ "id": text("id")?, "parameters": row.json::<Value>("parameters")? }),
+        RowOf::ParameterSet => {
+            json!({ "id": text("id")?, "parameters": row.json::<Value>("parameters")? })
+        }
         RowOf::Stock => json!({ "at": row.time("at")? }),
     })
 }
 
 /// A set's id derives from its values, so changes show without a record.
-fn named_by_content(what: RowOf, said: Map<String, Value>) -> std::result::Result<Map<String, Value>, String> {
+fn named_by_content(
+    what: RowOf,
+    said: Map<String, Value>,
+) -> std::result::Result<Map<String, Value>, String> {
     use flip_core::domain::parameters::ParameterSet;
     let values = said.get("parameters").filter(|_| what == RowOf::ParameterSet);
     let made = values.map(|values| ParameterSet::deserialize(values).map(|set| set.id()));

@@ -27,27 +27,46 @@ pub struct SimulatorVersion {
 impl Store {
     /// Versions, newest first.
     pub async fn simulators(&self, window: Window) -> Result<Page<SimulatorVersion>> {
-        let rows = sqlx::query("SELECT * FROM simulator_version WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2")
-            .bind(window.before())
-            .bind(window.rows())
-            .fetch_all(&self.reader)
-            .await?;
+        let rows = sqlx::query(
+            "SELECT * FROM simulator_version WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2",
+        )
+        .bind(window.before())
+        .bind(window.rows())
+        .fetch_all(&self.reader)
+        .await?;
         window.page_of(&rows, version)
     }
 
     /// One version.
     pub async fn simulator(&self, id: &str) -> Result<Option<SimulatorVersion>> {
         let sql = "SELECT * FROM simulator_version WHERE id = ?1";
-        sqlx::query(sql).bind(id).fetch_optional(&self.reader).await?.as_ref().map(version).transpose()
+        sqlx::query(sql)
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?
+            .as_ref()
+            .map(version)
+            .transpose()
     }
 }
 
 impl Tx {
     /// Store a version; an existing one is left unchanged.
-    pub async fn insert_simulator(&mut self, id: &str, base: &str, investigation: &str, body: &str) -> Result<()> {
+    pub async fn insert_simulator(
+        &mut self,
+        id: &str,
+        base: &str,
+        investigation: &str,
+        body: &str,
+    ) -> Result<()> {
         let sql = "INSERT INTO simulator_version (id, base, investigation, body, created_at) \
                    VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING";
-        let query = sqlx::query(sql).bind(id).bind(base).bind(investigation).bind(body).bind(now().unix_ms());
+        let query = sqlx::query(sql)
+            .bind(id)
+            .bind(base)
+            .bind(investigation)
+            .bind(body)
+            .bind(now().unix_ms());
         query.execute(&mut *self.inner).await?;
         Ok(())
     }

@@ -22,7 +22,11 @@ const OWN_MAX: i64 = 10_000_000_000;
 ///
 /// # Errors
 /// [`Error::Lost`]: no database, but files that one names; [`Error::File`].
-pub(super) fn prepare(data_dir: &Path, database: &Path, files: (&Artifacts, &Archives)) -> Result<()> {
+pub(super) fn prepare(
+    data_dir: &Path,
+    database: &Path,
+    files: (&Artifacts, &Archives),
+) -> Result<()> {
     is_there(data_dir, database, files)?;
     let made = OpenOptions::new().create_new(true).write(true).mode(0o600).open(database);
     match made {
@@ -37,7 +41,11 @@ pub(super) fn prepare(data_dir: &Path, database: &Path, files: (&Artifacts, &Arc
 ///
 /// # Errors
 /// [`Error::Lost`]: no database, but files that one names.
-pub(super) fn is_there(data_dir: &Path, database: &Path, files: (&Artifacts, &Archives)) -> Result<bool> {
+pub(super) fn is_there(
+    data_dir: &Path,
+    database: &Path,
+    files: (&Artifacts, &Archives),
+) -> Result<bool> {
     let size = |path: &Path| fs::metadata(path).map_or(0, |it| it.len());
     let log = database.with_extension("db-wal");
     let is_empty = size(database) == 0;
@@ -83,7 +91,11 @@ pub(super) async fn check_version(pool: &SqlitePool, known: &Migrator) -> Result
         return Ok(());
     }
     let applied: Vec<i64> =
-        sqlx::query_scalar("SELECT version FROM _sqlx_migrations ORDER BY version").fetch_all(pool).await?;
-    let unknown = |version: &i64| *version < OWN_MAX && !known.iter().any(|migration| migration.version == *version);
+        sqlx::query_scalar("SELECT version FROM _sqlx_migrations ORDER BY version")
+            .fetch_all(pool)
+            .await?;
+    let unknown = |version: &i64| {
+        *version < OWN_MAX && !known.iter().any(|migration| migration.version == *version)
+    };
     applied.into_iter().find(unknown).map_or(Ok(()), |version| Err(Error::Newer(version)))
 }

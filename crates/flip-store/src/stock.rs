@@ -43,7 +43,9 @@ impl Store {
     /// Record rows that no record knows, the first time.
     pub(super) async fn take_stock(&self) -> Result<()> {
         let mut tx = self.write().await?;
-        let marked: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)").fetch_one(&mut *tx.inner).await?;
+        let marked: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)")
+            .fetch_one(&mut *tx.inner)
+            .await?;
         if marked {
             return Ok(());
         }
@@ -62,7 +64,8 @@ impl Tx {
         let mut after = 0;
         loop {
             let sql = "SELECT * FROM audit WHERE seq > ?1 ORDER BY seq LIMIT ?2";
-            let rows = sqlx::query(sql).bind(after).bind(LONG_BATCH).fetch_all(&mut *self.inner).await?;
+            let rows =
+                sqlx::query(sql).bind(after).bind(LONG_BATCH).fetch_all(&mut *self.inner).await?;
             let Some(last) = rows.last() else { break };
             after = last.plain("seq")?;
             rows.iter().try_for_each(|row| Written::of(row).map(|record| said.hear(&record)))?;
@@ -106,7 +109,9 @@ impl Tx {
         let rows = sqlx::query(sql).fetch_all(&mut *self.inner).await?;
         // A row that cannot be parsed as a weighing has no place in a record of weighings.
         let found = rows.iter().filter_map(|row| weighing_row(row).ok());
-        Ok(found.map(|it| OutcomeRecord { key: it.key(), weighing: it.weighing, trace: it.trace }).collect())
+        Ok(found
+            .map(|it| OutcomeRecord { key: it.key(), weighing: it.weighing, trace: it.trace })
+            .collect())
     }
 }
 
@@ -125,7 +130,8 @@ pub(super) async fn stock(connection: &mut SqliteConnection) -> Result<Stock> {
     if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut *connection).await? {
         return Ok(Stock::NotTaken);
     }
-    let marked: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)").fetch_one(connection).await?;
+    let marked: bool =
+        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)").fetch_one(connection).await?;
     Ok(if marked { Stock::Gone } else { Stock::NotTaken })
 }
 
@@ -185,12 +191,20 @@ mod tests {
     async fn after(store: &Store, sql: &'static str) -> (Vec<ChangedRow>, Vec<String>) {
         sqlx::query(sql).execute(store.writer().unwrap()).await.unwrap();
         let found = store.verify_audit(None).await.unwrap();
-        assert_eq!(found.broken.is_some(), !(found.changed.is_empty() && found.others.is_empty()), "{found:?}");
-        (found.changed, found.others.into_iter().map(|it| format!("{} {}", it.what.name(), it.id)).collect())
+        assert_eq!(
+            found.broken.is_some(),
+            !(found.changed.is_empty() && found.others.is_empty()),
+            "{found:?}"
+        );
+        (
+            found.changed,
+            found.others.into_iter().map(|it| format!("{} {}", it.what.name(), it.id)).collect(),
+        )
     }
 
     #[tokio::test]
-    async fn rows_from_before_the_record_are_in_it_from_the_first_start_on_and_a_row_that_comes_later_is_not() {
+    async fn rows_from_before_the_record_are_in_it_from_the_first_start_on_and_a_row_that_comes_later_is_not()
+     {
         let folder = tempfile::tempdir().unwrap();
         from_before(folder.path(), 250).await;
         let store = Store::open(folder.path()).await.unwrap();
@@ -200,22 +214,26 @@ mod tests {
             (&None, 4),
             "two of weighings, one of other rows, and that it was done"
         );
-        let (changed, _) = after(&store, "UPDATE weighing SET reading_mg = 9.9 WHERE id = 'w-7'").await;
+        let (changed, _) =
+            after(&store, "UPDATE weighing SET reading_mg = 9.9 WHERE id = 'w-7'").await;
         assert!(
-            changed[0].weighing == "w-7" && changed[0].why.contains("reading_mg is 9.9, 10.2 was recorded"),
+            changed[0].weighing == "w-7"
+                && changed[0].why.contains("reading_mg is 9.9, 10.2 was recorded"),
             "{changed:?}"
         );
         let row = store.weighing("w-7").await.unwrap().unwrap();
         assert!(store.outcome_on_record(&row).await.unwrap().0.is_some(), "nor is it certified");
         let row = store.weighing("w-8").await.unwrap().unwrap();
         assert_eq!(store.outcome_on_record(&row).await.unwrap(), (None, None));
-        let (changed, others) = after(&store, "UPDATE weighing SET reading_mg = 10.2 WHERE id = 'w-7'").await;
+        let (changed, others) =
+            after(&store, "UPDATE weighing SET reading_mg = 10.2 WHERE id = 'w-7'").await;
         assert_eq!((changed.len(), others.len()), (0, 0));
         let (_, others) = after(&store, "UPDATE token SET role = 'admin'").await;
         assert_eq!(others, ["token aa"]);
         after(&store, "UPDATE token SET role = 'operator'").await;
         sqlx::query(WEIGHING).bind("forged").execute(store.writer().unwrap()).await.unwrap();
-        let (changed, _) = after(&store, "UPDATE weighing SET created_at = 1 WHERE id = 'forged'").await;
+        let (changed, _) =
+            after(&store, "UPDATE weighing SET created_at = 1 WHERE id = 'forged'").await;
         assert_eq!(changed[0].weighing, "forged");
         store.close().await;
         drop(store);
@@ -231,18 +249,23 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_row_that_is_older_than_its_database_or_younger_than_the_record_is_not_one_from_before_it() {
+    async fn a_row_that_is_older_than_its_database_or_younger_than_the_record_is_not_one_from_before_it()
+     {
         for created_at in [999, 62_000] {
             let folder = tempfile::tempdir().unwrap();
             from_before(folder.path(), 1).await;
-            let options = sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
+            let options =
+                sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
             let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
             let moved = sqlx::query("UPDATE weighing SET created_at = ?1").bind(created_at);
             assert_eq!(moved.execute(&pool).await.unwrap().rows_affected(), 1);
             pool.close().await;
             let store = Store::open(folder.path()).await.unwrap();
             let found = store.verify_audit(None).await.unwrap().changed;
-            assert!(found[0].weighing == "w-0" && found[0].seq.is_none(), "{created_at}: {found:?}");
+            assert!(
+                found[0].weighing == "w-0" && found[0].seq.is_none(),
+                "{created_at}: {found:?}"
+            );
         }
     }
 

@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
 /// Permissions of a token's holder; each role includes the ones before it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
     /// Read.
@@ -53,7 +55,9 @@ impl Store {
     /// Every token, on a connection that nobody else waits for.
     pub async fn every_token(&self) -> Result<Vec<HashedToken>> {
         let rows = sqlx::query("SELECT * FROM token ORDER BY seq").fetch_all(&self.apart).await?;
-        rows.iter().map(|row| Ok(HashedToken { entry: entry(row)?, sha256: row.plain("sha256")? })).collect()
+        rows.iter()
+            .map(|row| Ok(HashedToken { entry: entry(row)?, sha256: row.plain("sha256")? }))
+            .collect()
     }
 
     /// Tokens, newest first.
@@ -65,7 +69,9 @@ impl Store {
 
     /// Whether there are any tokens.
     pub async fn has_tokens(&self) -> Result<bool> {
-        Ok(sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM token)").fetch_one(&self.reader).await?)
+        Ok(sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM token)")
+            .fetch_one(&self.reader)
+            .await?)
     }
 }
 
@@ -91,20 +97,27 @@ impl Tx {
 
     /// Revoke a token; one that has ended stays as it was. `None`: there is none.
     pub async fn revoke_token(&mut self, id: &str, now: Timestamp) -> Result<Option<TokenEntry>> {
-        let sql = "UPDATE token SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL RETURNING *";
-        let row = sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
+        let sql =
+            "UPDATE token SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL RETURNING *";
+        let row =
+            sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
         if let Some(row) = row {
             let revoked = entry(&row)?;
-            self.audit_deed(None, "revoke token", serde_json::json!({ "token": revoked }), now).await?;
+            self.audit_deed(None, "revoke token", serde_json::json!({ "token": revoked }), now)
+                .await?;
             return Ok(Some(revoked));
         }
-        let row = sqlx::query("SELECT * FROM token WHERE id = ?1").bind(id).fetch_optional(&mut *self.inner).await?;
+        let row = sqlx::query("SELECT * FROM token WHERE id = ?1")
+            .bind(id)
+            .fetch_optional(&mut *self.inner)
+            .await?;
         row.as_ref().map(entry).transpose()
     }
 
     /// Store when tokens were last used.
     pub async fn note_uses(&mut self, uses: &[(String, Timestamp)]) -> Result<()> {
-        let sql = "UPDATE token SET last_used_at = max(coalesce(last_used_at, 0), ?2) WHERE id = ?1";
+        let sql =
+            "UPDATE token SET last_used_at = max(coalesce(last_used_at, 0), ?2) WHERE id = ?1";
         for (id, at) in uses {
             sqlx::query(sql).bind(id).bind(at.unix_ms()).execute(&mut *self.inner).await?;
         }
@@ -120,7 +133,8 @@ fn mark(sha256: &[u8]) -> String {
 
 /// The fields of a row, by the names used in its record.
 pub(super) fn says(row: &SqliteRow) -> Result<serde_json::Value> {
-    let mut said = serde_json::to_value(entry(row)?).map_err(|error| Error::Corrupt(error.to_string()))?;
+    let mut said =
+        serde_json::to_value(entry(row)?).map_err(|error| Error::Corrupt(error.to_string()))?;
     said["secret"] = mark(&row.plain::<Vec<u8>>("sha256")?).into();
     if let Some(fields) = said.as_object_mut() {
         fields.remove("last_used_at");

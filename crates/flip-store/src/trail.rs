@@ -9,7 +9,11 @@ use super::{Result, Store};
 
 impl Store {
     /// Records, newest first; of one weighing if given.
-    pub async fn audit_records(&self, weighing: Option<&str>, window: Window) -> Result<Page<AuditRecord>> {
+    pub async fn audit_records(
+        &self,
+        weighing: Option<&str>,
+        window: Window,
+    ) -> Result<Page<AuditRecord>> {
         // One snapshot: records archived meanwhile would be missing, or appear twice.
         let mut tx = self.reader.begin().await?;
         let sql = "SELECT * FROM audit WHERE seq < ?1 AND (?3 IS NULL OR weighing = ?3) ORDER BY seq DESC LIMIT ?2";
@@ -17,7 +21,9 @@ impl Store {
         let mut found = records(&query.fetch_all(&mut *tx).await?)?;
         let is_full = found.len() as i64 == window.rows();
         let floor = found.last().filter(|_| is_full).map_or(0, |last| last.seq);
-        let aways = aways(&mut tx, weighing, (floor, window.before()), Order::Newest, window.rows()).await?;
+        let aways =
+            aways(&mut tx, weighing, (floor, window.before()), Order::Newest, window.rows())
+                .await?;
         let mut taken = 0;
         for away in aways {
             let archived = self.archived(&away)?.into_iter().filter(|it| it.seq < window.before());
@@ -33,7 +39,11 @@ impl Store {
     }
 
     /// Every record after `after`, oldest first, at most a few thousand; of one weighing if given.
-    pub async fn audit_after(&self, weighing: Option<&str>, after: i64) -> Result<Vec<AuditRecord>> {
+    pub async fn audit_after(
+        &self,
+        weighing: Option<&str>,
+        after: i64,
+    ) -> Result<Vec<AuditRecord>> {
         let mut tx = self.long.begin().await?;
         let sql = "SELECT * FROM audit WHERE seq > ?1 AND (?3 IS NULL OR weighing = ?3) ORDER BY seq LIMIT ?2";
         let query = sqlx::query(sql).bind(after).bind(LONG_BATCH).bind(weighing);

@@ -100,25 +100,37 @@ impl Store {
 
     /// Every heap of an emulator so far, in order.
     pub async fn emulator_runs(&self, emulator: &str) -> Result<Vec<Trial>> {
-        let rows = sqlx::query("SELECT body FROM emulator_run WHERE emulator = ?1 ORDER BY position").bind(emulator);
+        let rows =
+            sqlx::query("SELECT body FROM emulator_run WHERE emulator = ?1 ORDER BY position")
+                .bind(emulator);
         rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
     }
 
     /// Simulations of an observable so far, in order.
     pub async fn probes<T: DeserializeOwned>(&self, owner: &str) -> Result<Vec<T>> {
-        let rows = sqlx::query("SELECT body FROM probe WHERE owner = ?1 ORDER BY position").bind(owner);
+        let rows =
+            sqlx::query("SELECT body FROM probe WHERE owner = ?1 ORDER BY position").bind(owner);
         rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
     }
 
     /// Episodes of a training, in order.
     pub async fn episodes(&self, job: &str, window: Window) -> Result<Page<Episode>> {
-        let sql =
-            "SELECT position AS seq, body FROM episode WHERE job = ?1 AND position > ?2 ORDER BY position LIMIT ?3";
+        let sql = "SELECT position AS seq, body FROM episode WHERE job = ?1 AND position > ?2 ORDER BY position LIMIT ?3";
         self.series(sql, job, window).await
     }
 
-    async fn series<T: DeserializeOwned>(&self, sql: &'static str, job: &str, window: Window) -> Result<Page<T>> {
-        let rows = sqlx::query(sql).bind(job).bind(window.after()).bind(window.rows()).fetch_all(&self.reader).await?;
+    async fn series<T: DeserializeOwned>(
+        &self,
+        sql: &'static str,
+        job: &str,
+        window: Window,
+    ) -> Result<Page<T>> {
+        let rows = sqlx::query(sql)
+            .bind(job)
+            .bind(window.after())
+            .bind(window.rows())
+            .fetch_all(&self.reader)
+            .await?;
         window.page_of(&rows, |row| row.json("body"))
     }
 }
@@ -127,30 +139,55 @@ impl Tx {
     /// Append a trial. The key rejects one that is already stored.
     pub async fn insert_trial(&mut self, job: &str, trial: &Trial) -> Result<()> {
         let sql = "INSERT INTO trial (job, position, body) VALUES (?1, ?2, ?3)";
-        sqlx::query(sql).bind(job).bind(trial.index).bind(json(trial)?).execute(&mut *self.inner).await?;
+        sqlx::query(sql)
+            .bind(job)
+            .bind(trial.index)
+            .bind(json(trial)?)
+            .execute(&mut *self.inner)
+            .await?;
         Ok(())
     }
 
     /// Append a heap to an emulator. The key rejects one that is already stored.
     pub async fn insert_emulator_run(&mut self, emulator: &str, run: &Trial) -> Result<()> {
         let sql = "INSERT INTO emulator_run (emulator, position, body) VALUES (?1, ?2, ?3)";
-        sqlx::query(sql).bind(emulator).bind(run.index).bind(json(run)?).execute(&mut *self.inner).await?;
+        sqlx::query(sql)
+            .bind(emulator)
+            .bind(run.index)
+            .bind(json(run)?)
+            .execute(&mut *self.inner)
+            .await?;
         Ok(())
     }
 
     /// Append a simulation of an observable. The key rejects one that is already stored.
-    pub async fn insert_probe<T: Serialize>(&mut self, owner: &str, position: u32, body: &T) -> Result<()> {
+    pub async fn insert_probe<T: Serialize>(
+        &mut self,
+        owner: &str,
+        position: u32,
+        body: &T,
+    ) -> Result<()> {
         let sql = "INSERT INTO probe (owner, position, body) VALUES (?1, ?2, ?3)";
-        sqlx::query(sql).bind(owner).bind(position).bind(json(body)?).execute(&mut *self.inner).await?;
+        sqlx::query(sql)
+            .bind(owner)
+            .bind(position)
+            .bind(json(body)?)
+            .execute(&mut *self.inner)
+            .await?;
         Ok(())
     }
 
     /// Append an episode; `false` if it is already stored, as happens when a training resumes and
     /// replays the episodes after its last checkpoint.
     pub async fn insert_episode(&mut self, job: &str, episode: &Episode) -> Result<bool> {
-        let sql = "INSERT INTO episode (job, position, body) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
-        let done =
-            sqlx::query(sql).bind(job).bind(episode.index).bind(json(episode)?).execute(&mut *self.inner).await?;
+        let sql =
+            "INSERT INTO episode (job, position, body) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
+        let done = sqlx::query(sql)
+            .bind(job)
+            .bind(episode.index)
+            .bind(json(episode)?)
+            .execute(&mut *self.inner)
+            .await?;
         Ok(done.rows_affected() == 1)
     }
 }

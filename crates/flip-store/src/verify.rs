@@ -98,7 +98,10 @@ impl Store {
     /// recorded outcome, if any.
     ///
     /// The row of a weighing that predates the record must be as found by the stock-taking.
-    pub async fn outcome_on_record(&self, row: &WeighingRow) -> Result<(Option<ChangedRow>, Option<Weighing>)> {
+    pub async fn outcome_on_record(
+        &self,
+        row: &WeighingRow,
+    ) -> Result<(Option<ChangedRow>, Option<Weighing>)> {
         let id = &row.weighing.id;
         let mut tx = self.long.begin().await?;
         let sql = "SELECT * FROM audit WHERE weighing = ?1 AND kind = 'outcome' ORDER BY seq DESC LIMIT 1";
@@ -112,16 +115,24 @@ impl Store {
             return Ok((Some(differs(why)), None));
         }
         let why = differs_from_outcome(row, &record.body);
-        let said = serde_json::from_str::<OutcomeRecord>(&record.body).ok().map(|said| said.weighing);
+        let said =
+            serde_json::from_str::<OutcomeRecord>(&record.body).ok().map(|said| said.weighing);
         Ok((why.map(differs), said))
     }
 }
 
 /// How the row of a weighing without a recorded outcome differs from the one found by the
 /// stock-taking.
-async fn not_as_found(tx: &mut Transaction<'_, Sqlite>, row: &WeighingRow) -> Result<Option<ChangedRow>> {
+async fn not_as_found(
+    tx: &mut Transaction<'_, Sqlite>,
+    row: &WeighingRow,
+) -> Result<Option<ChangedRow>> {
     let id = &row.weighing.id;
-    let missing = || ChangedRow { weighing: id.clone(), seq: None, why: "the record has no outcome of it".to_owned() };
+    let missing = || ChangedRow {
+        weighing: id.clone(),
+        seq: None,
+        why: "the record has no outcome of it".to_owned(),
+    };
     if let Some((seq, found)) = found_weighing(tx, id).await? {
         let why = differs_from(row, &found);
         return Ok(why.map(|why| ChangedRow { weighing: id.clone(), seq: Some(seq), why }));
@@ -129,8 +140,9 @@ async fn not_as_found(tx: &mut Transaction<'_, Sqlite>, row: &WeighingRow) -> Re
     if stock(tx).await? != Stock::NotTaken {
         return Ok(Some(missing()));
     }
-    let first: Option<i64> =
-        sqlx::query_scalar("SELECT at FROM audit ORDER BY seq LIMIT 1").fetch_optional(&mut **tx).await?;
+    let first: Option<i64> = sqlx::query_scalar("SELECT at FROM audit ORDER BY seq LIMIT 1")
+        .fetch_optional(&mut **tx)
+        .await?;
     let is_older = first.is_none_or(|first| row.weighing.created_at.unix_ms() < first);
     Ok((!is_older).then(missing))
 }
@@ -156,10 +168,14 @@ impl<'a> Walk<'a> {
 
     /// Verify the chain up to the first record that is not what was written; nothing is known about
     /// records in lost archives.
-    async fn go_through_records(&mut self, tx: &mut Transaction<'_, Sqlite>) -> Result<Option<AuditBreak>> {
+    async fn go_through_records(
+        &mut self,
+        tx: &mut Transaction<'_, Sqlite>,
+    ) -> Result<Option<AuditBreak>> {
         loop {
             let sql = "SELECT * FROM audit WHERE seq > ?1 ORDER BY seq LIMIT ?2";
-            let rows = sqlx::query(sql).bind(self.records).bind(LONG_BATCH).fetch_all(&mut **tx).await?;
+            let rows =
+                sqlx::query(sql).bind(self.records).bind(LONG_BATCH).fetch_all(&mut **tx).await?;
             if rows.is_empty() {
                 return Ok(None);
             }
@@ -176,10 +192,19 @@ impl<'a> Walk<'a> {
     }
 
     /// Process archived records before this position.
-    async fn go_through_archived(&mut self, tx: &mut Transaction<'_, Sqlite>, before: i64) -> Result<()> {
+    async fn go_through_archived(
+        &mut self,
+        tx: &mut Transaction<'_, Sqlite>,
+        before: i64,
+    ) -> Result<()> {
         while before > self.records + 1 {
-            let next = aways(tx, None, (self.records, self.records + 2), Order::Oldest, 1).await?.into_iter().next();
-            match next.filter(|away| away.first == self.records + 1 && away.before == self.last_hash) {
+            let next = aways(tx, None, (self.records, self.records + 2), Order::Oldest, 1)
+                .await?
+                .into_iter()
+                .next();
+            match next
+                .filter(|away| away.first == self.records + 1 && away.before == self.last_hash)
+            {
                 Some(away) => self.go_through_member(&away)?,
                 None => return Ok(()),
             }
@@ -211,7 +236,12 @@ impl<'a> Walk<'a> {
     fn lose(&mut self, file: &str, (first, last): (i64, i64), error: &Error) {
         match self.archives.iter_mut().find(|lost| lost.file == file) {
             Some(lost) => (lost.first, lost.last) = (lost.first.min(first), lost.last.max(last)),
-            None => self.archives.push(LostArchive { file: file.to_owned(), first, last, why: why_lost(file, error) }),
+            None => self.archives.push(LostArchive {
+                file: file.to_owned(),
+                first,
+                last,
+                why: why_lost(file, error),
+            }),
         }
     }
 
@@ -232,7 +262,8 @@ impl<'a> Walk<'a> {
                 self.known.insert(id.clone());
                 let asked = self.open.remove(&id);
                 let row = row_of(tx, &id).await?;
-                let why = row.as_ref().map_or_else(gone, |row| differs_from_outcome(row, &record.body));
+                let why =
+                    row.as_ref().map_or_else(gone, |row| differs_from_outcome(row, &record.body));
                 self.note(id.clone(), Some(record.seq), why);
                 if let (Some(row), Some((seq, said))) = (row, asked) {
                     self.note(id, Some(seq), changed(&named(said.key_differs(&row))));
@@ -254,13 +285,19 @@ impl<'a> Walk<'a> {
 
     /// Check that a file named by a record is what was archived, byte for byte, and that the
     /// table's entry for it matches the record.
-    async fn look_at_archive(&mut self, tx: &mut Transaction<'_, Sqlite>, record: &Written) -> Result<()> {
+    async fn look_at_archive(
+        &mut self,
+        tx: &mut Transaction<'_, Sqlite>,
+        record: &Written,
+    ) -> Result<()> {
         if record.kind != "person" || !record.body.contains(archive::DEED) {
             return Ok(());
         }
         let Ok(named) = serde_json::from_str::<Named>(&record.body) else { return Ok(()) };
         match self.store.archives.get(&named.file, &named.sha256) {
-            Err(error) if error.is_lost_part() => self.lose(&named.file, (named.first, named.last), &error),
+            Err(error) if error.is_lost_part() => {
+                self.lose(&named.file, (named.first, named.last), &error)
+            }
             found => drop(found?),
         }
         if let Some(error) = archive::not_as_named(tx, record.seq, &named).await? {
@@ -280,7 +317,10 @@ impl<'a> Walk<'a> {
 
     /// Check weighings that have not ended, rows that the record does not know, and rows of other
     /// types.
-    async fn go_through_rows(&mut self, tx: &mut Transaction<'_, Sqlite>) -> Result<Option<AuditBreak>> {
+    async fn go_through_rows(
+        &mut self,
+        tx: &mut Transaction<'_, Sqlite>,
+    ) -> Result<Option<AuditBreak>> {
         let stock = stock(tx).await?;
         if stock == Stock::Gone {
             let why = "the record of the rows that were there before each had one is gone: records were cut off";
@@ -318,9 +358,11 @@ impl<'a> Walk<'a> {
 
     /// The first mismatch with the record, if the chain itself is whole.
     fn first_flaw(&self) -> Option<AuditBreak> {
-        let lost = |it: &LostArchive| (Some(it.first), format!("archive {} is lost: {}", it.file, it.why));
+        let lost =
+            |it: &LostArchive| (Some(it.first), format!("archive {} is lost: {}", it.file, it.why));
         let row = |it: &ChangedRow| (it.seq, format!("weighing {}: {}", it.weighing, it.why));
-        let other = |it: &ChangedOther| (it.seq, format!("{} {}: {}", it.what.name(), it.id, it.why));
+        let other =
+            |it: &ChangedOther| (it.seq, format!("{} {}: {}", it.what.name(), it.id, it.why));
         let first = self.archives.first().map(lost).or_else(|| self.changed.first().map(row));
         let (seq, why) = first.or_else(|| self.others.first().map(other))?;
         Some(AuditBreak { seq: seq.unwrap_or(self.records), why })
@@ -328,7 +370,10 @@ impl<'a> Walk<'a> {
 }
 
 async fn row_of(tx: &mut Transaction<'_, Sqlite>, id: &str) -> Result<Option<WeighingRow>> {
-    let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1").bind(id).fetch_optional(&mut **tx).await?;
+    let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1")
+        .bind(id)
+        .fetch_optional(&mut **tx)
+        .await?;
     // A row that can no longer be parsed as a weighing counts as gone.
     Ok(row.as_ref().and_then(|row| weighing_row(row).ok()))
 }
@@ -359,7 +404,9 @@ fn differs_from_intent(row: &WeighingRow, said: &Intent) -> Option<String> {
     let key = said.key_differs(row);
     let said = match said {
         Intent::Asked(body) => serde_json::from_str::<Weighing>(body),
-        Intent::Found(found) if found.weighing.outcome.is_some() => return differs_from(row, found),
+        Intent::Found(found) if found.weighing.outcome.is_some() => {
+            return differs_from(row, found);
+        }
         Intent::Found(found) => Ok(found.weighing.clone()),
     };
     let Ok(said) = said else {
@@ -383,7 +430,8 @@ fn different(row: &Weighing, said: &Weighing, others: Vec<&str>) -> Option<Strin
     let names: std::collections::BTreeSet<_> = row.keys().chain(said.keys()).collect();
     let null = serde_json::Value::Null;
     let one = |name: &&String| {
-        let (row, said) = (row.get(name.as_str()).unwrap_or(&null), said.get(name.as_str()).unwrap_or(&null));
+        let (row, said) =
+            (row.get(name.as_str()).unwrap_or(&null), said.get(name.as_str()).unwrap_or(&null));
         (row != said).then(|| format!("{name} is {row}, {said} was recorded"))
     };
     let mut found: Vec<String> = names.iter().filter_map(|name| one(name)).collect();

@@ -177,7 +177,18 @@ impl Ending {
         let error = Some(error.into());
         let (dispensed_mg, reading_mg, error_mg, shakes, seconds) = (None, None, None, None, None);
         let (measured, trace) = (None, None);
-        Self { state, outcome, dispensed_mg, reading_mg, error_mg, shakes, seconds, measured, trace, error }
+        Self {
+            state,
+            outcome,
+            dispensed_mg,
+            reading_mg,
+            error_mg,
+            shakes,
+            seconds,
+            measured,
+            trace,
+            error,
+        }
     }
 }
 
@@ -199,7 +210,10 @@ impl Store {
 
     /// One weighing.
     pub async fn weighing(&self, id: &str) -> Result<Option<WeighingRow>> {
-        let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1").bind(id).fetch_optional(&self.reader).await?;
+        let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?;
         row.as_ref().map(weighing_row).transpose()
     }
 
@@ -219,7 +233,12 @@ impl Store {
 
     /// Where to find the ticks of a powder's latest doses on such a bench that ran their course,
     /// newest first.
-    pub async fn traces_of(&self, powder: &str, bench: BenchKind, count: u32) -> Result<Vec<String>> {
+    pub async fn traces_of(
+        &self,
+        powder: &str,
+        bench: BenchKind,
+        count: u32,
+    ) -> Result<Vec<String>> {
         let sql = "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over') \
                    AND trace IS NOT NULL ORDER BY seq DESC LIMIT ?3";
         let query = sqlx::query_scalar(sql).bind(powder).bind(word(&bench)).bind(count);
@@ -298,11 +317,20 @@ impl Tx {
 
     /// Arm a weighing: the bench is about to move. `None`: it no longer waits (stopped before its
     /// turn).
-    pub async fn arm_weighing(&mut self, id: &str, bench: BenchKind, now: Timestamp) -> Result<Option<Weighing>> {
+    pub async fn arm_weighing(
+        &mut self,
+        id: &str,
+        bench: BenchKind,
+        now: Timestamp,
+    ) -> Result<Option<Weighing>> {
         let sql = "UPDATE weighing SET state = 'armed', started_at = ?2, bench = ?3 \
                    WHERE id = ?1 AND state IN ('planned', 'awaiting_vial') RETURNING *";
-        let row =
-            sqlx::query(sql).bind(id).bind(now.unix_ms()).bind(word(&bench)).fetch_optional(&mut *self.inner).await?;
+        let row = sqlx::query(sql)
+            .bind(id)
+            .bind(now.unix_ms())
+            .bind(word(&bench))
+            .fetch_optional(&mut *self.inner)
+            .await?;
         let Some(row) = row else { return Ok(None) };
         let weighing = self.announce_weighing(&row).await?;
         self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::Armed, now).await?;
@@ -313,15 +341,19 @@ impl Tx {
     /// longer waits, or already waits for its vial.
     pub async fn await_vial(&mut self, id: &str, now: Timestamp) -> Result<bool> {
         let sql = "UPDATE weighing SET state = 'awaiting_vial' WHERE id = ?1 AND state = 'planned' RETURNING *";
-        let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&mut *self.inner).await? else { return Ok(false) };
+        let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&mut *self.inner).await? else {
+            return Ok(false);
+        };
         self.announce_weighing(&row).await?;
-        self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::AwaitingVial, now).await?;
+        self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::AwaitingVial, now)
+            .await?;
         Ok(true)
     }
 
     /// Whether a weighing waits for its vial, as seen inside the transaction.
     pub async fn awaits_vial(&mut self, id: &str) -> Result<bool> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state = 'awaiting_vial')";
+        let sql =
+            "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state = 'awaiting_vial')";
         Ok(sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?)
     }
 
@@ -331,15 +363,22 @@ impl Tx {
         let sql = "UPDATE weighing SET state = 'planned' WHERE state = 'awaiting_vial' RETURNING *";
         for row in sqlx::query(sql).fetch_all(&mut *self.inner).await? {
             let id = self.announce_weighing(&row).await?.id;
-            self.audit(About { weighing: Some(&id), kind: "state" }, &WeighingState::Planned, now).await?;
+            self.audit(About { weighing: Some(&id), kind: "state" }, &WeighingState::Planned, now)
+                .await?;
         }
         Ok(())
     }
 
     /// Advance a moving weighing to its next state; no change if it is there already.
-    pub async fn advance_weighing(&mut self, id: &str, state: WeighingState, now: Timestamp) -> Result<()> {
+    pub async fn advance_weighing(
+        &mut self,
+        id: &str,
+        state: WeighingState,
+        now: Timestamp,
+    ) -> Result<()> {
         let sql = "UPDATE weighing SET state = ?2 WHERE id = ?1 AND state <> ?2 AND outcome IS NULL RETURNING *";
-        let row = sqlx::query(sql).bind(id).bind(word(&state)).fetch_optional(&mut *self.inner).await?;
+        let row =
+            sqlx::query(sql).bind(id).bind(word(&state)).fetch_optional(&mut *self.inner).await?;
         let Some(row) = row else { return Ok(()) };
         self.announce_weighing(&row).await?;
         self.audit(About { weighing: Some(id), kind: "state" }, &state, now).await
@@ -363,7 +402,12 @@ impl Tx {
     }
 
     /// End a weighing; only one that has not ended yet can be.
-    pub async fn end_weighing(&mut self, id: &str, ending: &Ending, now: Timestamp) -> Result<Option<Weighing>> {
+    pub async fn end_weighing(
+        &mut self,
+        id: &str,
+        ending: &Ending,
+        now: Timestamp,
+    ) -> Result<Option<Weighing>> {
         let sql = "UPDATE weighing SET state = ?2, outcome = ?3, dispensed_mg = ?4, reading_mg = ?5, error_mg = ?6, \
                    shakes = ?7, seconds = ?8, trace = ?9, error = ?10, finished_at = ?11, measured = ?12 \
                    WHERE id = ?1 AND outcome IS NULL RETURNING *";
@@ -384,7 +428,8 @@ impl Tx {
             .await?;
         let Some(row) = row else { return Ok(None) };
         let weighing = self.announce_weighing(&row).await?;
-        let said = OutcomeRecord { weighing, trace: ending.trace.clone(), key: RetryKey::default() };
+        let said =
+            OutcomeRecord { weighing, trace: ending.trace.clone(), key: RetryKey::default() };
         self.audit(About { weighing: Some(id), kind: "outcome" }, &said, now).await?;
         Ok(Some(said.weighing))
     }
@@ -400,7 +445,8 @@ pub(super) fn weighing_row(row: &SqliteRow) -> Result<WeighingRow> {
     let weighing = weighing(row)?;
     let patch: Option<serde_json::Value> = row.maybe_json("patch")?;
     Ok(WeighingRow {
-        patch_is_ours: patch == (!weighing.patch.is_none()).then(|| serde_json::json!(weighing.patch)),
+        patch_is_ours: patch
+            == (!weighing.patch.is_none()).then(|| serde_json::json!(weighing.patch)),
         weighing,
         idempotency_key: row.plain("idempotency_key")?,
         request_sha256: row.plain("request_sha256")?,
@@ -428,9 +474,17 @@ fn weighing(row: &SqliteRow) -> Result<Weighing> {
             .then(|| row.word("vial_check"))
             .transpose()?
             .unwrap_or_default(),
-        bench: row.plain::<Option<String>>("bench")?.is_some().then(|| row.word("bench")).transpose()?,
+        bench: row
+            .plain::<Option<String>>("bench")?
+            .is_some()
+            .then(|| row.word("bench"))
+            .transpose()?,
         state: row.word("state")?,
-        outcome: row.plain::<Option<String>>("outcome")?.is_some().then(|| row.word("outcome")).transpose()?,
+        outcome: row
+            .plain::<Option<String>>("outcome")?
+            .is_some()
+            .then(|| row.word("outcome"))
+            .transpose()?,
         dispensed_mg: row.plain("dispensed_mg")?,
         reading_mg: row.plain("reading_mg")?,
         error_mg: row.plain("error_mg")?,

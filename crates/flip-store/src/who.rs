@@ -61,7 +61,10 @@ mod tests {
     #[tokio::test]
     async fn a_task_works_for_whoever_it_was_begun_for_and_for_nobody_afterwards() {
         assert_eq!(Who::now(), None);
-        assert_eq!(acting(Who::command_line(), async { Who::now() }).await, Some(Who::command_line()));
+        assert_eq!(
+            acting(Who::command_line(), async { Who::now() }).await,
+            Some(Who::command_line())
+        );
         assert_eq!(Who::now(), None);
     }
 }

@@ -7,17 +7,24 @@ use flip_sim::repose::{Compat, Repose, Settings, repose};
 use rayon::prelude::*;
 
 fn set(changes: &[(&str, f64)]) -> ParameterSet {
-    let changed = |set: ParameterSet, (key, value): &(&str, f64)| set.with(key, *value).expect("within the bounds");
+    let changed = |set: ParameterSet, (key, value): &(&str, f64)| {
+        set.with(key, *value).expect("within the bounds")
+    };
     changes.iter().fold(ParameterSet::default(), changed)
 }
 
 /// One row: the heaps of one setting.
 fn row(changes: &[(&str, f64)], settings: &Settings, heaps: u64) {
-    let poured: Vec<_> = (1..=heaps).into_par_iter().map(|seed| repose(&set(changes), settings, seed)).collect();
+    let poured: Vec<_> =
+        (1..=heaps).into_par_iter().map(|seed| repose(&set(changes), settings, seed)).collect();
     let angled: Vec<&Repose> = poured.iter().flatten().collect();
-    let mean = |of: fn(&Repose) -> f64| angled.iter().map(|heap| of(heap)).sum::<f64>() / angled.len() as f64;
+    let mean = |of: fn(&Repose) -> f64| {
+        angled.iter().map(|heap| of(heap)).sum::<f64>() / angled.len() as f64
+    };
     let tip = mean(|heap| heap.tip_deg);
-    let sd = (angled.iter().map(|heap| (heap.tip_deg - tip).powi(2)).sum::<f64>() / (angled.len() as f64 - 1.0)).sqrt();
+    let sd = (angled.iter().map(|heap| (heap.tip_deg - tip).powi(2)).sum::<f64>()
+        / (angled.len() as f64 - 1.0))
+        .sqrt();
     let words: Vec<String> = changes.iter().map(|(key, value)| format!("{key}={value}")).collect();
     println!(
         "{:?},{},{},{},{},{},{tip:.2},{sd:.2},{:.2},{:.3},{:.2},{:.2},{:.2},{}",
@@ -34,12 +41,18 @@ fn row(changes: &[(&str, f64)], settings: &Settings, heaps: u64) {
         100.0 * angled.iter().fold(0.0, |top, heap| heap.overlap_max.max(top)),
         poured.len() - angled.len(),
     );
-    poured.iter().filter_map(|heap| heap.as_ref().err()).take(1).for_each(|refusal| println!("# {refusal}"));
+    poured
+        .iter()
+        .filter_map(|heap| heap.as_ref().err())
+        .take(1)
+        .for_each(|refusal| println!("# {refusal}"));
 }
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let number = |place: usize, default: u32| arguments.get(place).and_then(|a| a.parse().ok()).unwrap_or(default);
+    let number = |place: usize, default: u32| {
+        arguments.get(place).and_then(|a| a.parse().ok()).unwrap_or(default)
+    };
     let (grains, heaps) = (number(1, 2000), u64::from(number(2, 4)));
     let physx = Settings { compat: Compat::Physx, ..Settings::with_particles(grains) };
     println!(
@@ -65,8 +78,16 @@ fn main() {
                 row(&[("friction", friction)], &physical, heaps);
             }
             row(&[("friction", 0.5), ("cohesion", 1.2)], &physx, heaps);
-            row(&[("friction", 0.5), ("adhesion", 1.3), ("particle_adhesion_scale", 1.3)], &physx, heaps);
-            row(&[("friction", 0.5), ("adhesion", 1.3), ("adhesion_offset_scale", 0.000_05)], &physx, heaps);
+            row(
+                &[("friction", 0.5), ("adhesion", 1.3), ("particle_adhesion_scale", 1.3)],
+                &physx,
+                heaps,
+            );
+            row(
+                &[("friction", 0.5), ("adhesion", 1.3), ("adhesion_offset_scale", 0.000_05)],
+                &physx,
+                heaps,
+            );
             row(&[("friction", 0.5), ("gravity_scale", 0.3)], &physx, heaps);
             row(&[("friction", 0.5), ("damping", 1.0)], &physx, heaps);
         }

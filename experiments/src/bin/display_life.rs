@@ -30,12 +30,16 @@ fn main() -> anyhow::Result<()> {
         "| balance | s | rms of differences over 0.3, 1, 2, 4, 8 s, mg | display mg | longest stand s | stood 5 s | 10 s | 20 s |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    let root = std::env::var("FLIP_DATA").map_or_else(|_| PathBuf::from("../shared/data"), PathBuf::from);
+    let root =
+        std::env::var("FLIP_DATA").map_or_else(|_| PathBuf::from("../shared/data"), PathBuf::from);
     let folder = root.join("powder-doser/docs/rig-checks/data");
     for name in ENCLOSED {
         match folder.join(name) {
             path if path.exists() => tell(name, &published(&path)?),
-            path => println!("skipped: there is no {}; FLIP_DATA names the folder that holds the data", path.display()),
+            path => println!(
+                "skipped: there is no {}; FLIP_DATA names the folder that holds the data",
+                path.display()
+            ),
         }
     }
     tell("emulated", &emulated(0.1)?);
@@ -70,7 +74,8 @@ fn emulated(readability_mg: f64) -> anyhow::Result<Shown> {
 
 fn tell(name: &str, shown: &Shown) {
     let seconds = shown.last().map_or(0.0, |last| last.0 - shown[0].0);
-    let rms: Vec<String> = LAGS_S.iter().map(|lag_s| format!("{:.2}", rms_mg(shown, *lag_s))).collect();
+    let rms: Vec<String> =
+        LAGS_S.iter().map(|lag_s| format!("{:.2}", rms_mg(shown, *lag_s))).collect();
     for step_mg in [0.1, 1.0] {
         let numbers: Vec<(f64, i64)> =
             shown.iter().map(|(t_s, mass_mg)| (*t_s, (mass_mg / step_mg).round() as i64)).collect();
@@ -98,7 +103,10 @@ fn rms_mg(shown: &Shown, lag_s: f64) -> f64 {
 
 /// From the first to the last reading of one number.
 fn longest_s(numbers: &[(f64, i64)]) -> f64 {
-    numbers.chunk_by(|a, b| a.1 == b.1).map(|run| run[run.len() - 1].0 - run[0].0).fold(0.0, f64::max)
+    numbers
+        .chunk_by(|a, b| a.1 == b.1)
+        .map(|run| run[run.len() - 1].0 - run[0].0)
+        .fold(0.0, f64::max)
 }
 
 /// Share of times from which one number stood this long.
@@ -107,7 +115,10 @@ fn stood(numbers: &[(f64, i64)], for_s: f64) -> f64 {
     let from: Vec<usize> = (0..numbers.len()).filter(|k| numbers[*k].0 <= end_s).collect();
     let stands = |k: &&usize| {
         let (t_s, number) = numbers[**k];
-        numbers[**k..].iter().take_while(|later| later.0 <= t_s + for_s).all(|later| later.1 == number)
+        numbers[**k..]
+            .iter()
+            .take_while(|later| later.0 <= t_s + for_s)
+            .all(|later| later.1 == number)
     };
     from.iter().filter(stands).count() as f64 / from.len() as f64
 }

@@ -6,8 +6,8 @@
 //! seed alone.
 
 use flip::app::{
-    App, CalibrationRequest, Functions, JobState, LaboratorySettings, Options, Target, Tolerance, Weighing,
-    WeighingRequest, emulated_bench,
+    App, CalibrationRequest, Functions, JobState, LaboratorySettings, Options, Target, Tolerance,
+    Weighing, WeighingRequest, emulated_bench,
 };
 use flip_bench::hardware::bench_file::Readings;
 use flip_core::domain::powder::PUBLISHED;
@@ -22,9 +22,11 @@ const TOLERANCE_MG: f64 = 1.0;
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
     let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
-    let (repeats, seed) = (numbers.first().copied().unwrap_or(5), numbers.get(1).copied().unwrap_or(1));
+    let (repeats, seed) =
+        (numbers.first().copied().unwrap_or(5), numbers.get(1).copied().unwrap_or(1));
     let first = numbers.get(2).copied().unwrap_or(1) as usize;
-    let stand_max_s = numbers.get(3).map_or(Readings::default().stand_max_s, |seconds| *seconds as f64);
+    let stand_max_s =
+        numbers.get(3).map_or(Readings::default().stand_max_s, |seconds| *seconds as f64);
     let tables = numbers.get(4).copied().unwrap_or(3) as usize;
     let folder = Path::new("target").join(format!("emulated-doses-{first}-{stand_max_s}"));
     for (name, fixed_wait_s, remembers) in [
@@ -37,8 +39,10 @@ async fn main() -> anyhow::Result<()> {
     .take(tables)
     {
         let readings = Readings { fixed_wait_s, stand_max_s, ..Readings::default() };
-        let laboratory = LaboratorySettings { readings, remembers, ..LaboratorySettings::default() };
-        let functions = Functions { bench: Some(emulated_bench(laboratory)), ..Functions::default() };
+        let laboratory =
+            LaboratorySettings { readings, remembers, ..LaboratorySettings::default() };
+        let functions =
+            Functions { bench: Some(emulated_bench(laboratory)), ..Functions::default() };
         let app = App::open(&folder, Options { functions, ..Options::default() }).await?;
         calibrate(&app, seed).await?;
         println!(
@@ -78,7 +82,9 @@ async fn calibrate(app: &App, seed: u64) -> anyhow::Result<()> {
         loop {
             match app.job(&job.id).await?.state {
                 JobState::Succeeded => break,
-                JobState::Failed | JobState::Cancelled => anyhow::bail!("the calibration of {} failed", powder.id),
+                JobState::Failed | JobState::Cancelled => {
+                    anyhow::bail!("the calibration of {} failed", powder.id)
+                }
                 _ => tokio::time::sleep(Duration::from_millis(100)).await,
             }
         }
@@ -120,19 +126,27 @@ fn absolute(doses: &[Weighing]) -> f64 {
 }
 
 fn tell(powder: &str, target_mg: f64, doses: &[Weighing]) {
-    let listed = errors(doses).iter().map(|error| format!("{error:+.2}")).collect::<Vec<_>>().join(", ");
-    let of = |value: fn(&Weighing) -> f64| mean(&doses.iter().map(value).collect::<Vec<_>>()).unwrap_or(f64::NAN);
+    let listed =
+        errors(doses).iter().map(|error| format!("{error:+.2}")).collect::<Vec<_>>().join(", ");
+    let of = |value: fn(&Weighing) -> f64| {
+        mean(&doses.iter().map(value).collect::<Vec<_>>()).unwrap_or(f64::NAN)
+    };
     let shakes = of(|dose| f64::from(dose.shakes.unwrap_or(0)));
     let seconds = of(|dose| dose.seconds.unwrap_or(f64::NAN));
-    println!("| {powder} | {target_mg} | {listed} | {:.2} | {shakes:.1} | {seconds:.0} |", absolute(doses));
+    println!(
+        "| {powder} | {target_mg} | {listed} | {:.2} | {shakes:.1} | {seconds:.0} |",
+        absolute(doses)
+    );
 }
 
 fn summary(doses: &[Weighing], within_cells: &[f64]) {
     let all = errors(doses);
     let share = |outcome: Outcome| {
-        100.0 * doses.iter().filter(|dose| dose.outcome == Some(outcome)).count() as f64 / doses.len() as f64
+        100.0 * doses.iter().filter(|dose| dose.outcome == Some(outcome)).count() as f64
+            / doses.len() as f64
     };
-    let seconds = mean(&doses.iter().filter_map(|dose| dose.seconds).collect::<Vec<_>>()).unwrap_or(f64::NAN);
+    let seconds =
+        mean(&doses.iter().filter_map(|dose| dose.seconds).collect::<Vec<_>>()).unwrap_or(f64::NAN);
     println!(
         "\n{} doses: mean absolute error {:.2} mg, SD over doses {:.2}, mean SD within cells {:.2}, bias {:+.2}; within {:.0} %, over {:.0} %, under {:.0} %; {seconds:.0} s on the bench",
         doses.len(),

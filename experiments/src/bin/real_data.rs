@@ -37,11 +37,17 @@ fn main() -> anyhow::Result<()> {
         return Ok(());
     }
     let trials = read(&trials)?;
-    let published: Vec<&Line> = trials.iter().filter(|line| PUBLISHED.contains(&line["policy"].as_str())).collect();
-    println!("{} weighings in the file, {} by the four published policies\n", trials.len(), published.len());
+    let published: Vec<&Line> =
+        trials.iter().filter(|line| PUBLISHED.contains(&line["policy"].as_str())).collect();
+    println!(
+        "{} weighings in the file, {} by the four published policies\n",
+        trials.len(),
+        published.len()
+    );
     weighings("the four policies, error in mg", &published)?;
     for policy in PUBLISHED {
-        let own: Vec<&Line> = published.iter().copied().filter(|line| line["policy"] == policy).collect();
+        let own: Vec<&Line> =
+            published.iter().copied().filter(|line| line["policy"] == policy).collect();
         weighings(&format!("{policy} alone, error in mg"), &own)?;
     }
     for (name, what) in [
@@ -66,7 +72,8 @@ fn weighings(what: &str, lines: &[&Line]) -> anyhow::Result<()> {
     let absolute = errors.iter().map(|error| error.abs()).sum::<f64>() / errors.len() as f64;
     let nothing = lines.iter().filter(|line| line["final_mg"].parse() == Ok(0.0)).count();
     println!("== {what}: mean |error| {absolute:.2} mg, nothing dispensed in {nothing}");
-    let session = |line: &Line| format!("{} {} {}", line["policy"], line["powder"], line["target_mg"]);
+    let session =
+        |line: &Line| format!("{} {} {}", line["policy"], line["powder"], line["target_mg"]);
     let recorded = [("policy", true), ("target_mg", false), ("order_in_session", false)];
     let cell = |line: &Line, column: &str| match column {
         "order_in_session" => line["trial"].clone(),
@@ -81,7 +88,10 @@ fn salt_taps(what: &str, lines: &[Line]) -> anyhow::Result<()> {
     let lines: Vec<&Line> = lines.iter().collect();
     let log = |line: &&Line| Ok((number(line, "marginal_mg")?.max(0.0) + TAP_RESOLUTION_MG).ln());
     let logs = lines.iter().map(log).collect::<anyhow::Result<Vec<f64>>>()?;
-    let nothing = lines.iter().filter(|line| line["marginal_mg"].parse().is_ok_and(|mg: f64| mg <= 0.0)).count();
+    let nothing = lines
+        .iter()
+        .filter(|line| line["marginal_mg"].parse().is_ok_and(|mg: f64| mg <= 0.0))
+        .count();
     println!("== {what}: {nothing} taps let nothing fall");
     let tilt = |line: &Line| format!("tilt {}", line["angle_plate_deg"]);
     let recorded = [("order_in_session", false), ("repeat", false)];
@@ -89,7 +99,10 @@ fn salt_taps(what: &str, lines: &[Line]) -> anyhow::Result<()> {
         "order_in_session" => line["tap_index"].clone(),
         _ => line["rep"].clone(),
     };
-    print(&campaign(&lines, &logs, tilt, |line| line["trial"].clone(), &recorded, cell)?, "(a factor, as ln)")
+    print(
+        &campaign(&lines, &logs, tilt, |line| line["trial"].clone(), &recorded, cell)?,
+        "(a factor, as ln)",
+    )
 }
 
 /// The lines as a campaign: `recorded` names covariates, and whether they are names.
@@ -121,7 +134,10 @@ fn campaign(
             let mut names = cells.clone();
             names.sort();
             names.dedup();
-            Values::Levels { of: cells.iter().map(|cell| names.binary_search(cell).ok()).collect(), names }
+            Values::Levels {
+                of: cells.iter().map(|cell| names.binary_search(cell).ok()).collect(),
+                names,
+            }
         } else {
             Values::Numbers(cells.iter().map(|cell| cell.parse().ok()).collect())
         };
@@ -133,9 +149,18 @@ fn campaign(
 
 fn print(campaign: &Campaign, unit: &str) -> anyhow::Result<()> {
     let heard = |_: &_| ControlFlow::Continue(());
-    let report = investigate(Some(campaign), None, "none", &SETTINGS, heard)?.context("it was stopped")?;
+    let report =
+        investigate(Some(campaign), None, "none", &SETTINGS, heard)?.context("it was stopped")?;
     let Report {
-        verdict, p_value, null_check, findings, evidence, minimum_detectable, blind_spots, untestable, ..
+        verdict,
+        p_value,
+        null_check,
+        findings,
+        evidence,
+        minimum_detectable,
+        blind_spots,
+        untestable,
+        ..
     } = &report;
     println!(
         "n {} in {} sessions, {} means absorbed; verdict {verdict:?}, p = {p_value:.3} among {} campaigns",
@@ -153,7 +178,10 @@ fn print(campaign: &Campaign, unit: &str) -> anyhow::Result<()> {
     for it in findings {
         let [low, high] = it.ci95;
         let covariate = it.covariate.as_deref().unwrap_or("nothing recorded");
-        println!("  effect of {covariate} {}: {:+.2} [{low:.2}, {high:.2}] {unit}", it.span, it.effect);
+        println!(
+            "  effect of {covariate} {}: {:+.2} [{low:.2}, {high:.2}] {unit}",
+            it.span, it.effect
+        );
         for of in &it.by_powder {
             println!("    {}: {:+.2} [{:.2}, {:.2}]", of.powder, of.effect, of.ci95[0], of.ci95[1]);
         }
@@ -168,7 +196,10 @@ fn print(campaign: &Campaign, unit: &str) -> anyhow::Result<()> {
         );
     }
     for it in minimum_detectable {
-        println!("  would have found, four times of five: {} of {:.2} {unit}", it.mechanism, it.effect_deg);
+        println!(
+            "  would have found, four times of five: {} of {:.2} {unit}",
+            it.mechanism, it.effect_deg
+        );
     }
     let untold: Vec<&str> = untestable.iter().map(|it| it.mechanism.as_str()).collect();
     println!("  cannot be told: {}", untold.join(", "));
@@ -181,10 +212,13 @@ fn print(campaign: &Campaign, unit: &str) -> anyhow::Result<()> {
 }
 
 fn read(path: &Path) -> anyhow::Result<Vec<Line>> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let mut lines = text.lines();
     let header: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
-    let line = |line: &str| header.iter().zip(line.split(',')).map(|(k, v)| ((*k).to_owned(), v.to_owned())).collect();
+    let line = |line: &str| {
+        header.iter().zip(line.split(',')).map(|(k, v)| ((*k).to_owned(), v.to_owned())).collect()
+    };
     Ok(lines.filter(|line| !line.is_empty()).map(line).collect())
 }
 

@@ -50,7 +50,9 @@ fn main() -> anyhow::Result<()> {
     let piles: u64 = arguments.next().map_or(Ok(10), |text| text.parse())?;
     let seed: u64 = arguments.next().map_or(Ok(1), |text| text.parse())?;
     println!("{piles} piles of each angle, {FRAMES} frames of each, seeds from {seed}\n");
-    println!("| estimator | AoR deg | refused | bias deg | SD deg | stated u deg | of it frames deg | within 2 u % |");
+    println!(
+        "| estimator | AoR deg | refused | bias deg | SD deg | stated u deg | of it frames deg | within 2 u % |"
+    );
     println!("|---|---|---|---|---|---|---|---|");
     let (mut seconds, mut measured) = (0.0, 0);
     let mut refusals = Vec::new();
@@ -59,10 +61,18 @@ fn main() -> anyhow::Result<()> {
         let mut found = vec![Vec::new(); ESTIMATORS.len()];
         for pile in 0..piles {
             let studio = Studio::drawn(deg, seed + pile);
-            let taken = frames(&studio.scene, &studio.pose, &studio.optics, &studio.noise, seed + pile, FRAMES);
+            let taken = frames(
+                &studio.scene,
+                &studio.pose,
+                &studio.optics,
+                &studio.noise,
+                seed + pile,
+                FRAMES,
+            );
             for (estimator, found) in ESTIMATORS.iter().zip(&mut found) {
                 let began = Instant::now();
-                let result = measure(&taken, &written(&studio, estimator.lengths), &Limits::default());
+                let result =
+                    measure(&taken, &written(&studio, estimator.lengths), &Limits::default());
                 (seconds, measured) = (seconds + began.elapsed().as_secs_f64(), measured + 1);
                 found.push(result.map(|m| (estimator.read)(&m, &studio)));
             }
@@ -70,12 +80,16 @@ fn main() -> anyhow::Result<()> {
         for ((estimator, found), row) in ESTIMATORS.iter().zip(&found).zip(&mut rows) {
             row.push(line(estimator.name, &format!("{deg}"), found));
             let refused = found.iter().filter_map(|result| result.as_ref().err());
-            refusals.extend(refused.map(|refusal| format!("{}, {deg} deg: {refusal}", estimator.name)));
+            refusals
+                .extend(refused.map(|refusal| format!("{}, {deg} deg: {refusal}", estimator.name)));
         }
     }
     rows.iter().flatten().for_each(|row| println!("{row}"));
     refusals.iter().for_each(|refusal| println!("\nrefused: {refusal}"));
-    println!("\n{:.3} s for a measurement of {FRAMES} frames, mean of {measured}", seconds / f64::from(measured));
+    println!(
+        "\n{:.3} s for a measurement of {FRAMES} frames, mean of {measured}",
+        seconds / f64::from(measured)
+    );
     Ok(())
 }
 
@@ -88,5 +102,7 @@ fn line(name: &str, deg: &str, found: &[Result<[f64; 3], Refusal>]) -> String {
     let within = 100.0 * mean(|k| f64::from(u8::from(k[0].abs() <= 2.0 * k[1])));
     let (u, frames) = (mean(|k| k[1] * k[1]).sqrt(), mean(|k| k[2] * k[2]).sqrt());
     let refused = found.len() - known.len();
-    format!("| {name} | {deg} | {refused} | {bias:+.2} | {sd:.2} | {u:.2} | {frames:.2} | {within:.0} |")
+    format!(
+        "| {name} | {deg} | {refused} | {bias:+.2} | {sd:.2} | {u:.2} | {frames:.2} | {within:.0} |"
+    )
 }

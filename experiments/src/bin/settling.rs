@@ -38,10 +38,14 @@ struct Read {
 }
 
 fn main() -> anyhow::Result<()> {
-    let root = std::env::var("FLIP_DATA").map_or_else(|_| PathBuf::from("../shared/data"), PathBuf::from);
+    let root =
+        std::env::var("FLIP_DATA").map_or_else(|_| PathBuf::from("../shared/data"), PathBuf::from);
     let folder = root.join("powder-doser/data/balance-step/2026-08-14");
     if !folder.exists() {
-        println!("skipped: there is no {}; FLIP_DATA names the folder that holds the data", folder.display());
+        println!(
+            "skipped: there is no {}; FLIP_DATA names the folder that holds the data",
+            folder.display()
+        );
         return Ok(());
     }
     let steps = steps(&folder)?;
@@ -56,11 +60,15 @@ fn main() -> anyhow::Result<()> {
         print("right within 1 mg for good", &rounded, |step| step.right_for_good(1.0));
         // The noise of that balance in use, where it exceeds the display's step.
         let settling = Settling::new(f64::max(step_mg, 0.3));
-        print("this filter", &rounded, |step| step.filtered(&settling).map(|it| step.read(it.t_s, it.mass_mg)));
+        print("this filter", &rounded, |step| {
+            step.filtered(&settling).map(|it| step.read(it.t_s, it.mass_mg))
+        });
         print("this filter, end of its exponential", &rounded, |step| {
             step.filtered(&settling).map(|it| step.read(it.t_s, it.end_mg))
         });
-        print("the balance's flag", &rounded, |step| step.at(|shown| shown.flag && shown.t_s > 0.0));
+        print("the balance's flag", &rounded, |step| {
+            step.at(|shown| shown.flag && shown.t_s > 0.0)
+        });
         for wait_s in [0.5, 0.7, 1.0, 1.5] {
             print(&format!("{wait_s} s"), &rounded, |step| step.at(|shown| shown.t_s >= wait_s));
         }
@@ -71,7 +79,10 @@ fn main() -> anyhow::Result<()> {
 
 impl Step {
     fn on_balance_of(&self, step_mg: f64) -> Self {
-        let round = |shown: &Shown| Shown { mass_mg: (shown.mass_mg / step_mg).round() * step_mg, ..*shown };
+        let round = |shown: &Shown| Shown {
+            mass_mg: (shown.mass_mg / step_mg).round() * step_mg,
+            ..*shown
+        };
         Self { shown: self.shown.iter().map(round).collect(), right_mg: self.right_mg }
     }
 
@@ -80,7 +91,10 @@ impl Step {
     }
 
     fn at(&self, is_it: impl Fn(&Shown) -> bool) -> Option<Read> {
-        self.shown.iter().find(|shown| is_it(shown)).map(|shown| self.read(shown.t_s, shown.mass_mg))
+        self.shown
+            .iter()
+            .find(|shown| is_it(shown))
+            .map(|shown| self.read(shown.t_s, shown.mass_mg))
     }
 
     fn filtered(&self, settling: &Settling) -> Option<Settled> {
@@ -89,7 +103,8 @@ impl Step {
 
     /// The first reading from which on all are within this distance.
     fn right_for_good(&self, within_mg: f64) -> Option<Read> {
-        let wrong = self.shown.iter().rposition(|shown| (shown.mass_mg - self.right_mg).abs() > within_mg);
+        let wrong =
+            self.shown.iter().rposition(|shown| (shown.mass_mg - self.right_mg).abs() > within_mg);
         let first = self.shown.get(wrong.map_or(0, |at| at + 1))?;
         Some(self.read(first.t_s, first.mass_mg))
     }
@@ -120,20 +135,24 @@ fn print(rule: &str, steps: &[Step], read: impl Fn(&Step) -> Option<Read>) {
 fn steps(folder: &Path) -> anyhow::Result<Vec<Step>> {
     let mut captures = BTreeMap::new();
     let mut steps = Vec::new();
-    let events = csv::Reader::from_path(folder.join("events.csv"))?.deserialize().collect::<Result<Vec<Event>, _>>()?;
-    for event in
-        events.iter().filter(|event| event.r2.is_some_and(|r2| r2 > R2_MIN) && !event.condition.contains("lay-down"))
-    {
+    let events = csv::Reader::from_path(folder.join("events.csv"))?
+        .deserialize()
+        .collect::<Result<Vec<Event>, _>>()?;
+    for event in events.iter().filter(|event| {
+        event.r2.is_some_and(|r2| r2 > R2_MIN) && !event.condition.contains("lay-down")
+    }) {
         if !captures.contains_key(&event.file) {
             captures.insert(event.file.clone(), capture(&folder.join(&event.file))?);
         }
-        let (begin_s, end_s) = (event.t0.context("a clean step begins")?, event.t_up + event.top_dur_s - TOUCH_S);
+        let (begin_s, end_s) =
+            (event.t0.context("a clean step begins")?, event.t_up + event.top_dur_s - TOUCH_S);
         let shown: Vec<Shown> = captures[&event.file]
             .iter()
             .filter(|shown| (begin_s..end_s).contains(&shown.t_s))
             .map(|shown| Shown { t_s: shown.t_s - begin_s, ..*shown })
             .collect();
-        let mut rested: Vec<f64> = shown.iter().filter(|s| s.t_s >= RESTED_S).map(|s| s.mass_mg).collect();
+        let mut rested: Vec<f64> =
+            shown.iter().filter(|s| s.t_s >= RESTED_S).map(|s| s.mass_mg).collect();
         rested.sort_by(f64::total_cmp);
         if let Some(right_mg) = rested.get(rested.len() / 2) {
             steps.push(Step { right_mg: *right_mg, shown });
@@ -160,9 +179,14 @@ fn capture(path: &Path) -> anyhow::Result<Vec<Shown>> {
     for row in reader.records() {
         let row = row?;
         if row.get(0) == Some("D") {
-            let number =
-                |k: usize| -> anyhow::Result<f64> { Ok(row.get(k).context("a reading has four cells")?.parse()?) };
-            shown.push(Shown { t_s: number(1)? / 1000.0, mass_mg: 1000.0 * number(2)?, flag: row.get(3) == Some("S") });
+            let number = |k: usize| -> anyhow::Result<f64> {
+                Ok(row.get(k).context("a reading has four cells")?.parse()?)
+            };
+            shown.push(Shown {
+                t_s: number(1)? / 1000.0,
+                mass_mg: 1000.0 * number(2)?,
+                flag: row.get(3) == Some("S"),
+            });
         }
     }
     let first_s = shown.first().context("a file has readings")?.t_s;

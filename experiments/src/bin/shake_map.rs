@@ -8,14 +8,17 @@ use rayon::prelude::*;
 
 fn main() {
     let arguments: Vec<f64> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
-    let [friction, cohesion] = [arguments.first().copied().unwrap_or(0.5), arguments.get(1).copied().unwrap_or(0.0)];
+    let [friction, cohesion] =
+        [arguments.first().copied().unwrap_or(0.5), arguments.get(1).copied().unwrap_or(0.0)];
     let set = ParameterSet::default()
         .with("friction", friction)
         .and_then(|set| set.with("cohesion", cohesion))
         .expect("friction 0-1.3 and cohesion 0-1.2");
     let full = Dispenser::new(&set, &Settings::default(), 1);
-    let cells: Vec<(f64, f64)> =
-        [20.0, 25.0, 30.0, 35.0, 40.0, 45.0].iter().flat_map(|&p| [2.0, 6.0, 16.0].map(|a| (p, a))).collect();
+    let cells: Vec<(f64, f64)> = [20.0, 25.0, 30.0, 35.0, 40.0, 45.0]
+        .iter()
+        .flat_map(|&p| [2.0, 6.0, 16.0].map(|a| (p, a)))
+        .collect();
     let rows: Vec<String> = cells
         .par_iter()
         .map(|&(pitch, shake_mm)| {
@@ -26,7 +29,12 @@ fn main() {
             }
             let tilted = spoon.vial_mg();
             let doses: Vec<String> = (0..5)
-                .map(|_| format!("{:.2}", spoon.step(Action { incline_change_deg: 0.0, shake_mm }).vial_mg))
+                .map(|_| {
+                    format!(
+                        "{:.2}",
+                        spoon.step(Action { incline_change_deg: 0.0, shake_mm }).vial_mg
+                    )
+                })
                 .collect();
             format!(
                 "{pitch} deg {shake_mm} mm: tilt {tilted:.2}, shakes {} mg, spilled {:.2}",

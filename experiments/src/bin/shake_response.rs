@@ -56,7 +56,12 @@ fn main() -> anyhow::Result<()> {
     let (spoons, seed) = (number(1, 4)?, number(2, 1)?);
     let lowest_deg: f64 = arguments.get(3).map_or(Ok(10.0), |text| text.parse())?;
     let range = PitchLimits::WIDE.lower_deg..PitchLimits::WIDE.upper_deg;
-    anyhow::ensure!(range.contains(&lowest_deg), "LOWEST_DEG must be from {} to below {}", range.start, range.end);
+    anyhow::ensure!(
+        range.contains(&lowest_deg),
+        "LOWEST_DEG must be from {} to below {}",
+        range.start,
+        range.end
+    );
     let document: Document = match source.strip_prefix("box:") {
         Some(count) => whole_box(count.parse()?, seed),
         None => serde_json::from_slice(&std::fs::read(source)?)?,
@@ -71,8 +76,10 @@ fn main() -> anyhow::Result<()> {
     println!(
         "powder,aor_deg,set,course,step,pitch_before_deg,pitch_deg,shake_mm,spoon_mg,poured_mg,spilled_mg,d1,d2,d3,d4,d5"
     );
-    let lines: Vec<String> =
-        courses.par_iter().map(|(powder, s, set, seed)| course(powder, *s, set, *seed, lowest_deg)).collect();
+    let lines: Vec<String> = courses
+        .par_iter()
+        .map(|(powder, s, set, seed)| course(powder, *s, set, *seed, lowest_deg))
+        .collect();
     print!("{}", lines.concat());
     Ok(())
 }
@@ -80,11 +87,20 @@ fn main() -> anyhow::Result<()> {
 /// Sets spread over the published box, in place of calibrated ones.
 fn whole_box(count: usize, seed: u64) -> Document {
     let points = latin_hypercube(count, &mut Pcg64Mcg::seed_from_u64(derive(seed, &[])));
-    let sets = points.into_iter().map(|point| Set { parameters: ParameterSet::from_unit(point) }).collect();
+    let sets = points
+        .into_iter()
+        .map(|point| Set { parameters: ParameterSet::from_unit(point) })
+        .collect();
     Document { powders: vec![Powder { powder: "box".into(), target_deg: None, sets }] }
 }
 
-fn course(powder: &Powder, number: usize, set: &ParameterSet, seed: u64, lowest_deg: f64) -> String {
+fn course(
+    powder: &Powder,
+    number: usize,
+    set: &ParameterSet,
+    seed: u64,
+    lowest_deg: f64,
+) -> String {
     let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[1]));
     let mut spoon = Dispenser::new(set, &Settings::default(), derive(seed, &[0]));
     let cruise_deg = rng.random_range(lowest_deg..PitchLimits::WIDE.upper_deg);
@@ -100,7 +116,8 @@ fn course(powder: &Powder, number: usize, set: &ParameterSet, seed: u64, lowest_
             missing + rng.random_range(-3.0..3.0)
         };
         // As many small shakes as large ones, and a fifth of the steps without a shake.
-        let shake_mm = if rng.random_bool(0.2) { 0.0 } else { rng.random_range(0.0..SHAKE_MM_MAX.ln()).exp() };
+        let shake_mm =
+            if rng.random_bool(0.2) { 0.0 } else { rng.random_range(0.0..SHAKE_MM_MAX.ln()).exp() };
         let poured = spoon.step(Action { incline_change_deg: change, shake_mm });
         let name = &powder.powder;
         let (pitch_deg, mg, spilled_mg) = (spoon.pitch_deg(), poured.vial_mg, poured.spilled_mg);

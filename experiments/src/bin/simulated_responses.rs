@@ -30,7 +30,12 @@ const HOOKS: [(&str, [f64; 3]); 9] = [
 const ANGLES_DEG: [f64; 2] = [22.0, 50.0];
 
 /// The set and settings with one thing changed; `None` where a parameter would leave its bounds.
-fn changed(hook: &str, amplitude: f64, set: &ParameterSet, settings: &Settings) -> Option<(ParameterSet, Settings)> {
+fn changed(
+    hook: &str,
+    amplitude: f64,
+    set: &ParameterSet,
+    settings: &Settings,
+) -> Option<(ParameterSet, Settings)> {
     let mut other = *settings;
     match hook {
         "cohesion" => return Some((set.with("cohesion", set.cohesion() + amplitude).ok()?, other)),
@@ -60,11 +65,14 @@ fn fit() {
         .lines()
         .map(|line| serde_json::from_str(&line.unwrap()).expect("lines of this example"))
         .collect();
-    println!("mechanism          amplitude  pairs  shift at 36 deg  change per 10 deg  SD around it");
+    println!(
+        "mechanism          amplitude  pairs  shift at 36 deg  change per 10 deg  SD around it"
+    );
     for (hook, amplitudes) in HOOKS {
         for amplitude in amplitudes {
             let of = pairs.iter().filter(|it| it.hook == hook && it.amplitude == amplitude);
-            let points: Vec<(f64, f64)> = of.map(|it| ((it.base_deg - MIDDLE_DEG) / SLOPE_DEG, it.shift_deg)).collect();
+            let points: Vec<(f64, f64)> =
+                of.map(|it| ((it.base_deg - MIDDLE_DEG) / SLOPE_DEG, it.shift_deg)).collect();
             let n = points.len() as f64;
             let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / n;
             let (x, y) = (mean(|p| p.0), mean(|p| p.1));
@@ -84,20 +92,26 @@ fn main() {
     if std::env::args().nth(1).as_deref() == Some("fit") {
         return fit();
     }
-    let arguments: Vec<u32> = std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
-    let [sets, grains, readings] = [(0, 48), (1, 2000), (2, 4)].map(|(k, usual)| *arguments.get(k).unwrap_or(&usual));
+    let arguments: Vec<u32> =
+        std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
+    let [sets, grains, readings] =
+        [(0, 48), (1, 2000), (2, 4)].map(|(k, usual)| *arguments.get(k).unwrap_or(&usual));
     let settings = Settings { readings, ..Settings::with_particles(grains) };
-    let angle =
-        |set: &ParameterSet, settings: &Settings, seed: u64| repose(set, settings, seed).ok().map(|it| it.cone_deg);
+    let angle = |set: &ParameterSet, settings: &Settings, seed: u64| {
+        repose(set, settings, seed).ok().map(|it| it.cone_deg)
+    };
     let mut rng = Pcg64::seed_from_u64(1);
     let candidates: Vec<ParameterSet> = (0..6 * sets)
         .map(|_| ParameterSet::from_unit(std::array::from_fn::<f64, COUNT, _>(|_| rng.random())))
         .collect();
     let quick = Settings { readings: 1, ..settings };
     let stands = |(k, set): (usize, &ParameterSet)| {
-        angle(set, &quick, k as u64).filter(|angle| (ANGLES_DEG[0]..ANGLES_DEG[1]).contains(angle)).map(|_| (k, *set))
+        angle(set, &quick, k as u64)
+            .filter(|angle| (ANGLES_DEG[0]..ANGLES_DEG[1]).contains(angle))
+            .map(|_| (k, *set))
     };
-    let mut chosen: Vec<(usize, ParameterSet)> = candidates.par_iter().enumerate().filter_map(stands).collect();
+    let mut chosen: Vec<(usize, ParameterSet)> =
+        candidates.par_iter().enumerate().filter_map(stands).collect();
     chosen.truncate(sets as usize);
     // A few sets at a time, so that a stopped run leaves what it has.
     for few in chosen.chunks(4) {
@@ -114,8 +128,11 @@ fn pour(
     let tasks: Vec<(usize, ParameterSet, &str, f64)> = chosen
         .iter()
         .flat_map(|&(k, set)| {
-            let changes = HOOKS.into_iter().flat_map(|(hook, all)| all.map(|amplitude| (hook, amplitude)));
-            std::iter::once(("", 0.0)).chain(changes).map(move |(hook, amplitude)| (k, set, hook, amplitude))
+            let changes =
+                HOOKS.into_iter().flat_map(|(hook, all)| all.map(|amplitude| (hook, amplitude)));
+            std::iter::once(("", 0.0))
+                .chain(changes)
+                .map(move |(hook, amplitude)| (k, set, hook, amplitude))
         })
         .collect();
     let of = |(k, set, hook, amplitude): &(usize, ParameterSet, &str, f64)| {
@@ -126,7 +143,9 @@ fn pour(
         angle(&set, &settings, 1000 + *k as u64)
     };
     let angles: Vec<Option<f64>> = tasks.par_iter().map(of).collect();
-    let unchanged = |k: usize| tasks.iter().position(|task| task.0 == k && task.2.is_empty()).and_then(|at| angles[at]);
+    let unchanged = |k: usize| {
+        tasks.iter().position(|task| task.0 == k && task.2.is_empty()).and_then(|at| angles[at])
+    };
     for ((k, _, hook, amplitude), angle) in tasks.iter().zip(&angles) {
         if let (false, Some(angle), Some(base)) = (hook.is_empty(), angle, unchanged(*k)) {
             let shift = angle - base;

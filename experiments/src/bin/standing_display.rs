@@ -31,7 +31,8 @@ const TRIED: [(&str, f64, f64, bool); 3] = [
     ("what should have fallen", 8.0, 0.003, false),
     ("a sign of life", f64::INFINITY, 0.0, true),
 ];
-const POWDERS: [&str; 4] = ["salt", "a quarter to four times as much", "comes late", "simulated grains"];
+const POWDERS: [&str; 4] =
+    ["salt", "a quarter to four times as much", "comes late", "simulated grains"];
 
 const GRAINS: usize = 3;
 
@@ -47,10 +48,16 @@ fn filled(powder: usize, seed: u64) -> Box<dyn Spoon> {
             variation: rng.random_range(0.3..0.9),
             ..salt
         },
-        2 => Flow { onset_deg: rng.random_range(20.0..45.0), onset_width_deg: 1.0, variation: 0.8, ..salt },
+        2 => Flow {
+            onset_deg: rng.random_range(20.0..45.0),
+            onset_width_deg: 1.0,
+            variation: 0.8,
+            ..salt
+        },
         _ => {
             let set = ParameterSet::from_unit(std::array::from_fn(|_| rng.random()));
-            let settings = dispense::Settings { pitch: RULES.pitch, ..dispense::Settings::default() };
+            let settings =
+                dispense::Settings { pitch: RULES.pitch, ..dispense::Settings::default() };
             let mut spoon = GrainsSpoon::new(&set, &settings, seed);
             spoon.refill();
             return Box::new(spoon);
@@ -74,7 +81,13 @@ struct Dosed {
 
 /// A dose on a display that stands still from a step on; signs of life are waited for if it `asks`
 /// for them.
-fn dose(mut spoon: Box<dyn Spoon>, target_mg: f64, limits: &Limits, asks: bool, stands_from: Option<u32>) -> Dosed {
+fn dose(
+    mut spoon: Box<dyn Spoon>,
+    target_mg: f64,
+    limits: &Limits,
+    asks: bool,
+    stands_from: Option<u32>,
+) -> Dosed {
     let readability_mg = limits.readability_mg;
     let controller = Controller::Paced(Paced::CHOSEN);
     let mut dosing = controller.begin(&RULES, readability_mg);
@@ -124,7 +137,9 @@ fn dose(mut spoon: Box<dyn Spoon>, target_mg: f64, limits: &Limits, asks: bool, 
         }
         let action = match allowed {
             Ok(allowed) => allowed.action,
-            Err(Halt::NotANumber | Halt::NotAnAction | Halt::Stale) => unreachable!("nothing is wrong with it"),
+            Err(Halt::NotANumber | Halt::NotAnAction | Halt::Stale) => {
+                unreachable!("nothing is wrong with it")
+            }
             Err(_) => return dosed,
         };
         vial_mg += spoon.step(action).mass_mg;
@@ -146,13 +161,15 @@ impl Errors {
     }
 
     fn excess_mg(&self) -> f64 {
-        self.0.iter().map(|error| (error - TOLERANCE_MG).max(0.0)).sum::<f64>() / self.0.len() as f64
+        self.0.iter().map(|error| (error - TOLERANCE_MG).max(0.0)).sum::<f64>()
+            / self.0.len() as f64
     }
 }
 
 fn main() {
     let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|text| text.parse().ok()).collect();
-    let (doses, seed) = (numbers.first().copied().unwrap_or(600), numbers.get(1).copied().unwrap_or(1));
+    let (doses, seed) =
+        (numbers.first().copied().unwrap_or(600), numbers.get(1).copied().unwrap_or(1));
     println!(
         "{doses} doses a row; over and short by more than {TOLERANCE_MG} mg; excess: mean over doses of what lies beyond the tolerance\n"
     );
@@ -181,15 +198,23 @@ fn main() {
                     let from = (derive(seed, &[2]) % u64::from(sound.steps.max(1))) as u32;
                     let standing = dose(filled(powder, seed), target_mg, &limits, asks, Some(from));
                     let has_moved = from > sound.moved;
-                    (sound.vial_mg - target_mg, sound.waits, has_moved, standing.vial_mg - target_mg)
+                    (
+                        sound.vial_mg - target_mg,
+                        sound.waits,
+                        has_moved,
+                        standing.vial_mg - target_mg,
+                    )
                 });
                 let all: Vec<(f64, u32, bool, f64)> = both.collect();
                 let sound = Errors(all.iter().map(|dose| dose.0).collect());
                 let waits = f64::from(all.iter().map(|dose| dose.1).sum::<u32>()) / doses as f64;
                 let [late, early] = [true, false].map(|has_moved| {
-                    Errors(all.iter().filter(|dose| dose.2 == has_moved).map(|dose| dose.3).collect())
+                    Errors(
+                        all.iter().filter(|dose| dose.2 == has_moved).map(|dose| dose.3).collect(),
+                    )
                 });
-                let absolute_mg = sound.0.iter().map(|error| error.abs()).sum::<f64>() / doses as f64;
+                let absolute_mg =
+                    sound.0.iter().map(|error| error.abs()).sum::<f64>() / doses as f64;
                 println!(
                     "| {name} | {readability_mg} | {rule} | {:.1} % | {:.1} % | {absolute_mg:.2} | {waits:.1} | {} | {:.0} % | {:.1} | {:.0} % | {:.1} |",
                     sound.over_pct(),

@@ -25,8 +25,12 @@ use flip_core::stats::summary::{mean, sd};
 use flip_experiments::calibrated::Calibrated;
 use flip_learn::train::environment::{Filling, Spoon, play};
 use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
-use flip_learn::train::{Event, Level, Network, Order, Preset, Replayed, Settings, Start, Surrogate, train_on};
-use flip_policy::{self as policy, Actor, Carried, Controller, Dispenser, Encoding, Paced, Response, Rules};
+use flip_learn::train::{
+    Event, Level, Network, Order, Preset, Replayed, Settings, Start, Surrogate, train_on,
+};
+use flip_policy::{
+    self as policy, Actor, Carried, Controller, Dispenser, Encoding, Paced, Response, Rules,
+};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -230,21 +234,40 @@ fn weigh(
             Controller::Learned(actor) if drawn => Weigher::Drawn(actor),
             _ => Weigher::Centre(controller),
         };
-        anyhow::Ok(dose(&weigher, settings, &mut filling.fill(set, seed), repose_deg(set), target_mg, seed))
+        anyhow::Ok(dose(
+            &weigher,
+            settings,
+            &mut filling.fill(set, seed),
+            repose_deg(set),
+            target_mg,
+            seed,
+        ))
     })
 }
 
 /// Trains with these settings, and weighs.
-fn run(levels: &[Level], powders: &[Weighed], settings: &Settings, spread: f64) -> anyhow::Result<Run> {
+fn run(
+    levels: &[Level],
+    powders: &[Weighed],
+    settings: &Settings,
+    spread: f64,
+) -> anyhow::Result<Run> {
     let started = Instant::now();
     let mut errors = Vec::new();
     let filling = Surrogate { spread, ..Surrogate::new(settings.rules.pitch) };
-    let trained = train_on(&filling, levels, settings, Start::Nothing, &|| ControlFlow::Continue(()), |event| {
-        if let Event::Episode(episode) = event {
-            errors.push(episode.final_error_mg);
-        }
-        ControlFlow::Continue(())
-    })?;
+    let trained = train_on(
+        &filling,
+        levels,
+        settings,
+        Start::Nothing,
+        &|| ControlFlow::Continue(()),
+        |event| {
+            if let Event::Episode(episode) = event {
+                errors.push(episode.final_error_mg);
+            }
+            ControlFlow::Continue(())
+        },
+    )?;
     let seconds = started.elapsed().as_secs_f64();
     let controller = policy::decode(&trained.artifact)?.controller;
     let found = weigh(&controller, powders, settings, spread, false)?;
@@ -267,7 +290,10 @@ impl Run {
         }
         let summary = &found.summary[0];
         Self {
-            mae_mg: by_powder.into_iter().map(|(powder, errors)| (powder, mean(&errors).unwrap_or(0.0))).collect(),
+            mae_mg: by_powder
+                .into_iter()
+                .map(|(powder, errors)| (powder, mean(&errors).unwrap_or(0.0)))
+                .collect(),
             mae_all_mg: summary.mae_mg,
             drawn_mg: drawn.summary[0].mae_mg,
             over_share: summary.over_share,
@@ -295,10 +321,14 @@ fn tell(names: &[String], runs: &[Run]) {
     println!("|{}", "---|".repeat(9 + header.len()));
     for name in names {
         let of: Vec<&Run> = runs.iter().filter(|run| run.name == *name).collect();
-        let each = |value: &dyn Fn(&Run) -> f64| over_seeds(&of.iter().map(|run| value(run)).collect::<Vec<_>>());
+        let each = |value: &dyn Fn(&Run) -> f64| {
+            over_seeds(&of.iter().map(|run| value(run)).collect::<Vec<_>>())
+        };
         let last = |run: &Run| run.curve_mg.last().copied().unwrap_or(0.0);
-        let chosen = of.iter().min_by(|a, b| last(a).total_cmp(&last(b))).map_or(0.0, |run| run.mae_all_mg);
-        let by_powder: Vec<String> = powders.iter().map(|powder| each(&|run| run.mae_mg[*powder])).collect();
+        let chosen =
+            of.iter().min_by(|a, b| last(a).total_cmp(&last(b))).map_or(0.0, |run| run.mae_all_mg);
+        let by_powder: Vec<String> =
+            powders.iter().map(|powder| each(&|run| run.mae_mg[*powder])).collect();
         println!(
             "| {name} | {} | {} | {} | {chosen:.2} | {} | {} | {} | {} | {:.0} |",
             of.len(),
@@ -327,12 +357,15 @@ fn picture(names: &[String], runs: &[Run], episodes: u32) -> String {
         );
     }
     for (k, (name, colour)) in names.iter().zip(COLOURS).enumerate() {
-        let curves: Vec<&Vec<f64>> = runs.iter().filter(|run| run.name == *name).map(|run| &run.curve_mg).collect();
+        let curves: Vec<&Vec<f64>> =
+            runs.iter().filter(|run| run.name == *name).map(|run| &run.curve_mg).collect();
         let points = curves.iter().map(|curve| curve.len()).min().unwrap_or(0);
         let line: Vec<String> = (0..points)
             .map(|k| {
-                let mg = mean(&curves.iter().map(|curve| curve[k]).collect::<Vec<_>>()).unwrap_or(0.0);
-                let x = 50.0 + wide * ((k as f64 + 0.5) * WINDOW as f64 / f64::from(episodes)).min(1.0);
+                let mg =
+                    mean(&curves.iter().map(|curve| curve[k]).collect::<Vec<_>>()).unwrap_or(0.0);
+                let x =
+                    50.0 + wide * ((k as f64 + 0.5) * WINDOW as f64 / f64::from(episodes)).min(1.0);
                 format!("{x:.1},{:.1}", 20.0 + high * (1.0 - (mg / top_mg).min(1.0)))
             })
             .collect();
@@ -366,7 +399,8 @@ fn read(files: &[String], on_angles: bool) -> anyhow::Result<(Vec<Level>, Vec<We
     for file in files {
         let calibrated: Calibrated = serde_json::from_slice(&std::fs::read(file)?)?;
         for found in calibrated.powders {
-            let sets: Vec<ParameterSet> = found.sets.into_iter().map(|set| set.parameters).collect();
+            let sets: Vec<ParameterSet> =
+                found.sets.into_iter().map(|set| set.parameters).collect();
             let (trained, others) = sets.split_at(sets.len().min(TRAINED));
             let (is_angle, repose_deg) = (found.powder.is_empty(), found.target_deg);
             let powder = if is_angle { format!("repose_{repose_deg}") } else { found.powder };
@@ -378,11 +412,17 @@ fn read(files: &[String], on_angles: bool) -> anyhow::Result<(Vec<Level>, Vec<We
                     !others.is_empty(),
                     "{powder} needs more than {TRAINED} sets: flip calibrate --sets 10"
                 );
-                powders.push(Weighed { subject: Subject { powder, sets: others.to_vec() }, repose_deg });
+                powders.push(Weighed {
+                    subject: Subject { powder, sets: others.to_vec() },
+                    repose_deg,
+                });
             }
         }
     }
-    anyhow::ensure!(!levels.is_empty() && !powders.is_empty(), "name files with bare angles and a file with powders");
+    anyhow::ensure!(
+        !levels.is_empty() && !powders.is_empty(),
+        "name files with bare angles and a file with powders"
+    );
     Ok((levels, powders))
 }
 
@@ -392,7 +432,8 @@ fn main() -> anyhow::Result<()> {
         anyhow::bail!("surrogate_trainings STUDY RUNS.jsonl SEEDS EPISODES SETS.json…");
     };
     let (seeds, episodes): (u64, u32) = (seeds.parse()?, episodes.parse()?);
-    let (name, only) = name.split_once(':').map_or((name.as_str(), None), |(name, only)| (name, Some(only)));
+    let (name, only) =
+        name.split_once(':').map_or((name.as_str(), None), |(name, only)| (name, Some(only)));
     let (levels, powders) = read(files, study(name, episodes, 1)?.on_angles)?;
     let known = std::fs::read_to_string(out).unwrap_or_default();
     let mut runs: Vec<Run> = known.lines().map(serde_json::from_str).collect::<Result<_, _>>()?;
@@ -400,9 +441,12 @@ fn main() -> anyhow::Result<()> {
     let mut missing = Vec::new();
     for seed in 1..=seeds {
         let Study { trainings, spread, .. } = study(name, episodes, seed)?;
-        let is_new = |training: &(String, Settings)| !runs.iter().any(|run| run.seed == seed && run.name == training.0);
-        let is_asked =
-            |training: &(String, Settings)| only.is_none_or(|only| only.split(',').any(|name| name == training.0));
+        let is_new = |training: &(String, Settings)| {
+            !runs.iter().any(|run| run.seed == seed && run.name == training.0)
+        };
+        let is_asked = |training: &(String, Settings)| {
+            only.is_none_or(|only| only.split(',').any(|name| name == training.0))
+        };
         let trainings = trainings.into_iter().filter(is_new).filter(is_asked);
         missing.extend(trainings.map(|(training, settings)| (training, settings, spread)));
     }
@@ -412,10 +456,19 @@ fn main() -> anyhow::Result<()> {
         .map(|(training, settings, spread)| {
             let settings = settings.checked()?;
             let found = run(&levels, &powders, &settings, spread)?;
-            let run = Run { study: name.to_owned(), name: training, seed: settings.seed, episodes, ..found };
+            let run = Run {
+                study: name.to_owned(),
+                name: training,
+                seed: settings.seed,
+                episodes,
+                ..found
+            };
             let line = serde_json::to_string(&run)?;
             writeln!(file.lock().unwrap_or_else(|broken| broken.into_inner()), "{line}")?;
-            eprintln!("{}, seed {}: {:.2} mg in {:.0} s", run.name, run.seed, run.mae_all_mg, run.seconds);
+            eprintln!(
+                "{}, seed {}: {:.2} mg in {:.0} s",
+                run.name, run.seed, run.mae_all_mg, run.seconds
+            );
             Ok(run)
         })
         .collect::<anyhow::Result<_>>()?;

@@ -22,7 +22,9 @@ use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Outcome;
 use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
 use flip_learn::train::{Event, Level, Preset, Settings, Start, TrainError, train};
-use flip_policy::{self as policy, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep};
+use flip_policy::{
+    self as policy, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep,
+};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -39,7 +41,8 @@ struct Powder {
 
 /// Settings of the preset, with the fields in the file overridden.
 fn settings(overrides: &Value) -> anyhow::Result<Settings> {
-    let preset: Preset = serde_json::from_value(overrides.get("preset").cloned().unwrap_or(json!("flip")))?;
+    let preset: Preset =
+        serde_json::from_value(overrides.get("preset").cloned().unwrap_or(json!("flip")))?;
     let order: flip_learn::train::Order =
         serde_json::from_value(overrides.get("order").cloned().unwrap_or(json!("curriculum")))?;
     let mut value = serde_json::to_value(Settings::of(preset, order, 1))?;
@@ -86,11 +89,18 @@ fn paced(overrides: &Value) -> anyhow::Result<Paced> {
 
 /// Trains on these levels and reports each episode; returns the policy's bytes, or none if the time
 /// was up first.
-fn learn(levels: &[Level], settings: &Settings, overrides: &Value) -> anyhow::Result<Option<Vec<u8>>> {
+fn learn(
+    levels: &[Level],
+    settings: &Settings,
+    overrides: &Value,
+) -> anyhow::Result<Option<Vec<u8>>> {
     let started = Instant::now();
     let path = overrides.get("checkpoint").and_then(Value::as_str);
     let seconds = overrides.get("seconds").and_then(Value::as_f64).unwrap_or(f64::INFINITY);
-    let resume = path.filter(|path| std::fs::exists(path).unwrap_or(false)).map(std::fs::read).transpose()?;
+    let resume = path
+        .filter(|path| std::fs::exists(path).unwrap_or(false))
+        .map(std::fs::read)
+        .transpose()?;
     let flow = || match started.elapsed().as_secs_f64() < seconds {
         true => ControlFlow::Continue(()),
         false => ControlFlow::Break(()),
@@ -132,7 +142,11 @@ fn weigh(pour: &Pour, pouring: &Pouring, trace: bool) -> anyhow::Result<Dose> {
         let mut told = String::new();
         for tick in &poured.ticks {
             let shake_mm = tick.action.executed_shake_mm();
-            write!(told, " {:.0} deg {shake_mm:.0} mm {:.1} mg;", tick.pitch_deg, tick.reading.mass_mg)?;
+            write!(
+                told,
+                " {:.0} deg {shake_mm:.0} mm {:.1} mg;",
+                tick.pitch_deg, tick.reading.mass_mg
+            )?;
         }
         eprintln!("target {} mg, dispensed {:.2} mg:{told}", pouring.order.target_mg, dispensed_mg);
     }
@@ -180,14 +194,21 @@ fn main() -> anyhow::Result<()> {
     if let (Some(path), Some(bytes)) = (overrides.get("save").and_then(Value::as_str), &artifact) {
         std::fs::write(path, bytes)?;
     }
-    let policy = artifact.as_ref().map(|bytes| anyhow::Ok((policy::id(bytes), policy::decode(bytes)?))).transpose()?;
-    let pitch = policy.as_ref().map_or(settings.rules.pitch, |(_, policy)| policy.manifest.rules.pitch);
-    let number = |key: &str, default: u64| overrides.get(key).and_then(Value::as_u64).unwrap_or(default) as u32;
+    let policy = artifact
+        .as_ref()
+        .map(|bytes| anyhow::Ok((policy::id(bytes), policy::decode(bytes)?)))
+        .transpose()?;
+    let pitch =
+        policy.as_ref().map_or(settings.rules.pitch, |(_, policy)| policy.manifest.rules.pitch);
+    let number = |key: &str, default: u64| {
+        overrides.get(key).and_then(Value::as_u64).unwrap_or(default) as u32
+    };
     let flag = |key: &str| overrides.get(key) == Some(&json!(true));
     let rules = Rules { steps_max: number("max_steps", 10), pitch, ..Rules::FLIP };
     let learnt = policy.map(|(name, policy)| Contender { name, controller: policy.controller });
     let mut contenders: Vec<Contender> = learnt.into_iter().collect();
-    let rivals: Vec<String> = overrides.get("rivals").cloned().map_or(Ok(Vec::new()), serde_json::from_value)?;
+    let rivals: Vec<String> =
+        overrides.get("rivals").cloned().map_or(Ok(Vec::new()), serde_json::from_value)?;
     for name in rivals {
         let controller = match name.as_str() {
             "untrained" => Controller::untrained(1),
@@ -195,14 +216,19 @@ fn main() -> anyhow::Result<()> {
             "dispenser" => Controller::Dispenser(Dispenser::new(response(&overrides)?)),
             "fuzzy" => Controller::Fuzzy(fuzzy(&overrides)?),
             "paced" => Controller::Paced(paced(&overrides)?),
-            other => anyhow::bail!("there is no rival `{other}`: untrained, fixed, dispenser, fuzzy, paced"),
+            other => anyhow::bail!(
+                "there is no rival `{other}`: untrained, fixed, dispenser, fuzzy, paced"
+            ),
         };
         contenders.push(Contender { name, controller });
     }
     let targets = overrides.get("targets_mg").cloned().unwrap_or(json!([15.0, 20.0]));
     let plan = Plan {
         contenders,
-        subjects: powders.into_iter().map(|p| Subject { powder: p.level.powder, sets: p.level.sets }).collect(),
+        subjects: powders
+            .into_iter()
+            .map(|p| Subject { powder: p.level.powder, sets: p.level.sets })
+            .collect(),
         targets_mg: serde_json::from_value(targets)?,
         repeats: number("repeats", 5),
         seed: overrides.get("evaluation_seed").and_then(Value::as_u64).unwrap_or(777),
@@ -217,19 +243,31 @@ fn main() -> anyhow::Result<()> {
             readability_mg: settings.balance.readability_mg,
         };
         let (controller, balance) = (controller.clone(), settings.balance);
-        let (spoon, accuracy, shakes, forecast) = (settings.spoon, Accuracy::default(), None, Forecast::GENERIC);
+        let (spoon, accuracy, shakes, forecast) =
+            (settings.spoon, Accuracy::default(), None, Forecast::GENERIC);
         let pan = PanCheck::NONE;
         weigh(
             &pour,
-            &Pouring { order, accuracy, controller, rules, balance, spoon, set: *set, shakes, forecast, seed, pan },
+            &Pouring {
+                order,
+                accuracy,
+                controller,
+                rules,
+                balance,
+                spoon,
+                set: *set,
+                shakes,
+                forecast,
+                seed,
+                pan,
+            },
             trace,
         )
     };
     let evaluation = evaluate(&plan, once)?;
     tell(&evaluation);
     let timing = json!({ "train_s": train_s, "all_s": started.elapsed().as_secs_f64() });
-    let result =
-        json!({ "settings": settings, "rows": evaluation.rows, "summary": evaluation.summary, "timing": timing });
+    let result = json!({ "settings": settings, "rows": evaluation.rows, "summary": evaluation.summary, "timing": timing });
     println!("{}", serde_json::to_string(&result)?);
     Ok(())
 }

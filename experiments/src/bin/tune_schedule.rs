@@ -47,13 +47,21 @@ fn known(rival: Rival) -> Controller {
 fn as_shipped(tuning: Tuning) -> Tuning {
     let rules = Rules { steps_max: 30, ..tuning.rules };
     let balance = balance::Settings { readability_mg: 0.1, noise_mg: 0.1, ..tuning.balance };
-    Tuning { overdose_factor: 4.0, targets_mg: vec![5.0, 10.0, 15.0, 20.0], rules, balance, ..tuning }
+    Tuning {
+        overdose_factor: 4.0,
+        targets_mg: vec![5.0, 10.0, 15.0, 20.0],
+        rules,
+        balance,
+        ..tuning
+    }
 }
 
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [sets, rest @ ..] = arguments.as_slice() else {
-        anyhow::bail!("tune_schedule SETS.json [CANDIDATES] [SEED] [schedule|pid|fuzzy|paced] [surrogate|both]");
+        anyhow::bail!(
+            "tune_schedule SETS.json [CANDIDATES] [SEED] [schedule|pid|fuzzy|paced] [surrogate|both]"
+        );
     };
     let calibrated: Calibrated = serde_json::from_slice(&std::fs::read(sets)?)?;
     let mut levels: Vec<Level> = calibrated
@@ -65,7 +73,10 @@ fn main() -> anyhow::Result<()> {
             sets: p.sets.into_iter().map(|set| set.parameters).collect(),
         })
         .collect();
-    anyhow::ensure!(levels.iter().all(|level| !level.sets.is_empty()), "a powder has no set; see flip calibrate");
+    anyhow::ensure!(
+        levels.iter().all(|level| !level.sets.is_empty()),
+        "a powder has no set; see flip calibrate"
+    );
     let seed = rest.get(1).map_or(Ok(1), |text| text.parse())?;
     let candidates = rest.first().map_or(Ok(128), |text| text.parse())?;
     let mut tuning = Tuning { candidates, targets_mg: vec![15.0, 20.0], ..Tuning::new(seed) };
@@ -75,7 +86,8 @@ fn main() -> anyhow::Result<()> {
     let (tuned, pours, others_mg) = match rest.get(2).map_or("schedule", String::as_str) {
         "schedule" => {
             let tuned = schedule::tune(&filling, &levels, &tuning);
-            let others_mg = schedule::assess(&filling, &levels, &tuning, &tuned.schedule, 10, seed + 1);
+            let others_mg =
+                schedule::assess(&filling, &levels, &tuning, &tuned.schedule, 10, seed + 1);
             (json!(tuned), tuned.pours, others_mg)
         }
         name => {
@@ -94,17 +106,22 @@ fn main() -> anyhow::Result<()> {
             let tuned = match rest.get(3).map(String::as_str) {
                 None => rivals::tune(&filling, &levels, &tuning, rival),
                 Some("surrogate") => rivals::tune(&fast, &levels, &tuning, rival),
-                Some("both") => rivals::tune_twice(&fast, &filling, &levels, &tuning, rival, &[known(rival)]),
+                Some("both") => {
+                    rivals::tune_twice(&fast, &filling, &levels, &tuning, rival, &[known(rival)])
+                }
                 Some(other) => anyhow::bail!("`{other}` must be surrogate or both, or left out"),
             };
-            let others_mg = rivals::assess(&filling, &levels, &tuning, &tuned.controller, 10, seed + 1);
+            let others_mg =
+                rivals::assess(&filling, &levels, &tuning, &tuned.controller, 10, seed + 1);
             (json!(tuned), tuned.pours, others_mg)
         }
     };
     eprintln!("{pours} pours and those on other heaps in {:.0} s", started.elapsed().as_secs_f64());
     println!(
         "{}",
-        serde_json::to_string(&json!({ "tuning": tuning, "tuned": tuned, "other_heaps_mae_mg": others_mg }))?
+        serde_json::to_string(
+            &json!({ "tuning": tuning, "tuned": tuned, "other_heaps_mae_mg": others_mg })
+        )?
     );
     Ok(())
 }

@@ -71,7 +71,10 @@ fn consolidation(rest_min: f64) -> f64 {
 }
 
 fn rested(rest_min: f64) -> Patch {
-    Patch { amplitudes: [("consolidation".to_owned(), consolidation(rest_min))].into(), ..Patch::default() }
+    Patch {
+        amplitudes: [("consolidation".to_owned(), consolidation(rest_min))].into(),
+        ..Patch::default()
+    }
 }
 
 /// A policy by its content.
@@ -90,7 +93,12 @@ impl Flip {
     fn ask(&self, arguments: &[&str]) -> anyhow::Result<Value> {
         eprintln!("flip {}", arguments.join(" "));
         let data = self.folder.join(self.data);
-        let output = Command::new(&self.program).arg("--data-dir").arg(data).args(arguments).arg("--json").output()?;
+        let output = Command::new(&self.program)
+            .arg("--data-dir")
+            .arg(data)
+            .args(arguments)
+            .arg("--json")
+            .output()?;
         let errors = String::from_utf8_lossy(&output.stderr);
         ensure!(output.status.success(), "flip {}: {errors}", arguments.join(" "));
         Ok(serde_json::from_slice(&output.stdout)?)
@@ -109,7 +117,12 @@ impl Flip {
             copy(&from, &half_made)?;
             std::fs::rename(&half_made, &to)?;
         }
-        Ok(Self { program: self.program.clone(), folder: self.folder.clone(), data, seed: self.seed })
+        Ok(Self {
+            program: self.program.clone(),
+            folder: self.folder.clone(),
+            data,
+            seed: self.seed,
+        })
     }
 
     /// Angle and sets of each powder, under a version or the base.
@@ -117,10 +130,12 @@ impl Flip {
         let seed = self.seed.to_string();
         let of = |powder: &&str| {
             let under = simulator.map_or_else(Vec::new, |version| vec!["--simulator", version]);
-            let found = self.ask(&[&["calibrate", "--powder", powder, "--seed", &seed], &under[..]].concat())?;
+            let found = self
+                .ask(&[&["calibrate", "--powder", powder, "--seed", &seed], &under[..]].concat())?;
             let powder = &found["powders"][0];
             let sets = powder["sets"].as_array().context("a calibration has sets")?;
-            let sets = sets.iter().map(|set| Ok(serde_json::from_value(set["parameters"].clone())?));
+            let sets =
+                sets.iter().map(|set| Ok(serde_json::from_value(set["parameters"].clone())?));
             let angle = powder["target_deg"].as_f64().context("a calibration has a target")?;
             Ok((angle, sets.collect::<anyhow::Result<_>>()?))
         };
@@ -128,7 +143,11 @@ impl Flip {
     }
 
     /// The policies of these trainings, one for each seed, as controllers.
-    fn trained(&self, seeds: std::ops::RangeInclusive<u64>, arguments: &[&str]) -> anyhow::Result<Vec<Named>> {
+    fn trained(
+        &self,
+        seeds: std::ops::RangeInclusive<u64>,
+        arguments: &[&str],
+    ) -> anyhow::Result<Vec<Named>> {
         let seeds = seeds.map(|seed| seed.to_string()).collect::<Vec<_>>().join(",");
         let trained = self.ask(&[&["train", "--seeds", &seeds], arguments].concat())?;
         let all = trained.as_array().map_or_else(|| vec![&trained], |all| all.iter().collect());
@@ -171,7 +190,15 @@ fn campaign(powders: &[Vec<ParameterSet>], seed: u64) -> anyhow::Result<String> 
             let shift = shift + of_both * f64::from(normal(&mut rng));
             for run in 0..RUNS {
                 let rest = REST_MIN[rng.random_range(0..REST_MIN.len() as u32) as usize];
-                runs.push((day, humidity, rest, p, sets[(day + run) % sets.len()], shift, rng.random()));
+                runs.push((
+                    day,
+                    humidity,
+                    rest,
+                    p,
+                    sets[(day + run) % sets.len()],
+                    shift,
+                    rng.random(),
+                ));
             }
         }
     }
@@ -203,26 +230,42 @@ fn oracle(flip: &Flip, old: &Named, truth: &[Level], seed: u64) -> anyhow::Resul
     let (before, Controller::Learned(actor)) = old else { bail!("the old policy has no network") };
     let under = Under { simulator: "the truth".to_owned(), conditions: BTreeMap::new() };
     let extended = Extended { under, days: vec![rested(BENCH_MIN)], powders: BTreeMap::new() };
-    let settings = Settings::of(Preset::Flip, Order::Curriculum, seed).going_on_from(before.clone());
+    let settings =
+        Settings::of(Preset::Flip, Order::Curriculum, seed).going_on_from(before.clone());
     let settings = Settings { extended: Some(extended), ..settings };
     let checkpoint = std::fs::read(&under_way).ok();
     let start = checkpoint.as_deref().map_or(Start::Policy(actor), Start::Checkpoint);
     eprintln!("oracle {seed}");
-    let trained =
-        train_on(&simulated(&settings), truth, &settings, start, &|| ControlFlow::Continue(()), |event| match event {
-            Event::Checkpoint(bytes) if write(&under_way, &bytes).is_err() => ControlFlow::Break(()),
+    let trained = train_on(
+        &simulated(&settings),
+        truth,
+        &settings,
+        start,
+        &|| ControlFlow::Continue(()),
+        |event| match event {
+            Event::Checkpoint(bytes) if write(&under_way, &bytes).is_err() => {
+                ControlFlow::Break(())
+            }
             _ => ControlFlow::Continue(()),
-        })?;
+        },
+    )?;
     write(&file, &trained.artifact)?;
     Ok((id(&trained.artifact), decode(&trained.artifact)?.controller))
 }
 
 /// Errors of each of these policies over the same doses on the laboratory's bench, mg:
 /// `[policies][doses]`. Each dose is a file in `kept`.
-fn weigh(policies: &[Named], powders: &[Vec<ParameterSet>], seed: u64, kept: &Path) -> anyhow::Result<Vec<Vec<f64>>> {
+fn weigh(
+    policies: &[Named],
+    powders: &[Vec<ParameterSet>],
+    seed: u64,
+    kept: &Path,
+) -> anyhow::Result<Vec<Vec<f64>>> {
     std::fs::create_dir_all(kept)?;
     let rules = Rules::FLIP;
-    let filling = Simulated { settings: dispense::Settings { pitch: rules.pitch, ..dispense::Settings::default() } };
+    let filling = Simulated {
+        settings: dispense::Settings { pitch: rules.pitch, ..dispense::Settings::default() },
+    };
     let balance = balance::Settings::default();
     let mut doses = Vec::new();
     for (p, sets) in powders.iter().enumerate() {
@@ -237,16 +280,24 @@ fn weigh(policies: &[Named], powders: &[Vec<ParameterSet>], seed: u64, kept: &Pa
             Ok(bytes) => serde_json::from_slice(&bytes)?,
             Err(_) => BTreeMap::new(),
         };
-        let missing: Vec<&Named> = policies.iter().filter(|(id, _)| !errors.contains_key(id)).collect();
+        let missing: Vec<&Named> =
+            policies.iter().filter(|(id, _)| !errors.contains_key(id)).collect();
         if !missing.is_empty() {
             let filled = filling.fill_under(set, &rested(BENCH_MIN), *seed);
             for (id, controller) in missing {
                 let mut dosing = controller.begin(&rules, balance.readability_mg);
-                let played = play(&mut filled.clone(), &rules, &balance, *target_mg, *seed, |seen: &Observation| {
-                    let action = dosing.propose(seen);
-                    let incline = action.incline_change_deg / INCLINE_CHANGE_DEG_MAX;
-                    [incline as f32, (2.0 * action.shake_mm / SHAKE_MM_MAX - 1.0) as f32]
-                });
+                let played = play(
+                    &mut filled.clone(),
+                    &rules,
+                    &balance,
+                    *target_mg,
+                    *seed,
+                    |seen: &Observation| {
+                        let action = dosing.propose(seen);
+                        let incline = action.incline_change_deg / INCLINE_CHANGE_DEG_MAX;
+                        [incline as f32, (2.0 * action.shake_mm / SHAKE_MM_MAX - 1.0) as f32]
+                    },
+                );
                 errors.insert(id.clone(), played.dispensed_mg - target_mg);
             }
             write(&file.display().to_string(), &serde_json::to_vec(&errors)?)?;
@@ -277,10 +328,19 @@ fn main() -> anyhow::Result<()> {
 
     let base = flip.calibrated(None)?;
     let old = flip.trained(1..=1, &[])?.remove(0);
-    let of_laboratory: Vec<Vec<ParameterSet>> = base.iter().map(|(_, sets)| sets[TRAINED..].to_vec()).collect();
+    let of_laboratory: Vec<Vec<ParameterSet>> =
+        base.iter().map(|(_, sets)| sets[TRAINED..].to_vec()).collect();
     let file = flip.path("campaign.csv");
     std::fs::write(&file, campaign(&of_laboratory, flip.seed)?)?;
-    let report = flip.ask(&["discover", "--measurements", &file, "--out", &flip.path("report"), "--seed", "1"])?;
+    let report = flip.ask(&[
+        "discover",
+        "--measurements",
+        &file,
+        "--out",
+        &flip.path("report"),
+        "--seed",
+        "1",
+    ])?;
     println!("{}\n", report["sentence"].as_str().unwrap_or_default());
     let Some(version) = report["simulator_version"]["extended"].as_str() else {
         bail!("no version was accepted: see {}", flip.path("report/report.html"));
@@ -304,12 +364,14 @@ fn main() -> anyhow::Result<()> {
     let (sham, extended, best) = std::thread::scope(|scope| {
         let sham = scope.spawn(|| beside.trained(1..=seeds, &from));
         let extended = scope.spawn(|| flip.trained(1..=seeds, &under));
-        let best = (1..=seeds.min(ORACLES)).into_par_iter().map(|seed| oracle(&flip, &old, &truth, seed));
+        let best =
+            (1..=seeds.min(ORACLES)).into_par_iter().map(|seed| oracle(&flip, &old, &truth, seed));
         let best = best.collect::<anyhow::Result<_>>();
         (sham.join().expect("does not panic"), extended.join().expect("does not panic"), best)
     });
     let (sham, extended, best) = (sham?, extended?, best?);
-    let arms: [(&str, Vec<Named>); 4] = [("old", vec![old]), ("sham", sham), ("extended", extended), ("oracle", best)];
+    let arms: [(&str, Vec<Named>); 4] =
+        [("old", vec![old]), ("sham", sham), ("extended", extended), ("oracle", best)];
     let all: Vec<Named> = arms.iter().flat_map(|(_, of)| of.clone()).collect();
     let errors = weigh(&all, &of_laboratory, flip.seed, &folder.join("weighed"))?;
     let doses = errors[0].len();
@@ -322,20 +384,25 @@ fn main() -> anyhow::Result<()> {
     for (name, of) in &arms {
         let (own, others) = left.split_at(of.len());
         left = others;
-        let absolute = |of: &Vec<f64>| of.iter().map(|error| error.abs()).sum::<f64>() / doses as f64;
+        let absolute =
+            |of: &Vec<f64>| of.iter().map(|error| error.abs()).sum::<f64>() / doses as f64;
         let means: Vec<f64> = own.iter().map(absolute).collect();
         let spread = sd(&means).map_or_else(|| "-".to_owned(), |sd| format!("{sd:.2}"));
         let share = |is: fn(f64) -> bool| {
-            100.0 * own.iter().flatten().filter(|error| is(**error)).count() as f64 / (own.len() * doses) as f64
+            100.0 * own.iter().flatten().filter(|error| is(**error)).count() as f64
+                / (own.len() * doses) as f64
         };
         let (over, short) = (share(|error| error > 1.0), share(|error| error < -1.0));
         let mean = mean(&means).unwrap_or(f64::NAN);
         println!("| {name} | {} | {mean:.2} | {spread} | {over:.0} % | {short:.0} % |", own.len());
         of_arms.push((name, means));
     }
-    let [(_, old), (_, sham), (_, extended), (_, best)] = of_arms.as_slice() else { bail!("four arms") };
-    let less =
-        |than: &dyn Fn(usize) -> f64| extended.iter().enumerate().map(|(k, it)| than(k) - it).collect::<Vec<_>>();
+    let [(_, old), (_, sham), (_, extended), (_, best)] = of_arms.as_slice() else {
+        bail!("four arms")
+    };
+    let less = |than: &dyn Fn(usize) -> f64| {
+        extended.iter().enumerate().map(|(k, it)| than(k) - it).collect::<Vec<_>>()
+    };
     let over_old = less(&|_| old[0]);
     let ci95 = interval(&over_old)?;
     for (name, gains) in [("old", over_old), ("sham", less(&|k| sham[k]))] {
@@ -352,7 +419,9 @@ fn main() -> anyhow::Result<()> {
             "\nM14 share of the gap from sham to oracle that it closes: {:.0} %  target >= 50 %",
             100.0 * (from - reached) / (from - to)
         ),
-        false => println!("\nM14 has no share: policies that went on in the truth weigh no better than the sham's"),
+        false => println!(
+            "\nM14 has no share: policies that went on in the truth weigh no better than the sham's"
+        ),
     }
     told(&flip, WeighingGain { before, after: reached, sham: from, oracle: Some(to), ci95 })
 }

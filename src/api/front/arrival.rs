@@ -63,17 +63,22 @@ impl Arrivals {
         bytes_max: usize,
         known: bool,
     ) -> Result<Bytes, Problem> {
-        let announced = headers.get(header::CONTENT_LENGTH).and_then(|text| text.to_str().ok()?.parse::<u64>().ok());
+        let announced = headers
+            .get(header::CONTENT_LENGTH)
+            .and_then(|text| text.to_str().ok()?.parse::<u64>().ok());
         let late = || Problem::too_slow("the body of the request did not come in time");
         let gathered = match announced.is_some_and(|bytes| bytes > bytes_max as u64) {
             true => Err(Problem::too_large(bytes_max)),
             false => {
-                let read = tokio::time::timeout(WHOLE, self.read(&mut body, bytes_max, known)).await;
+                let read =
+                    tokio::time::timeout(WHOLE, self.read(&mut body, bytes_max, known)).await;
                 read.unwrap_or_else(|_| Err(late()))
             }
         };
         // A client that asks first whether to send the body has not started sending.
-        if gathered.as_ref().is_err_and(|problem| problem.status == 413) && !headers.contains_key(header::EXPECT) {
+        if gathered.as_ref().is_err_and(|problem| problem.status == 413)
+            && !headers.contains_key(header::EXPECT)
+        {
             discard(body).await;
         }
         gathered
@@ -84,7 +89,8 @@ impl Arrivals {
         loop {
             let next = poll_fn(|cx| self.next(body, &mut gathered.waiting, known, cx));
             let frame = tokio::time::timeout(self.pause, next).await;
-            let late = || Problem::too_slow("the next part of the request's body did not come in time");
+            let late =
+                || Problem::too_slow("the next part of the request's body did not come in time");
             match frame.map_err(|_| late())?? {
                 None => return Ok(gathered.bytes.into()),
                 Some(data) => self.keep(&mut gathered, &data, bytes_max)?,
@@ -102,8 +108,12 @@ impl Arrivals {
     ) -> Poll<Result<Option<Bytes>, Problem>> {
         match Pin::new(body).poll_frame(cx) {
             Poll::Ready(None) => Poll::Ready(Ok(None)),
-            Poll::Ready(Some(Ok(frame))) => Poll::Ready(Ok(Some(frame.into_data().unwrap_or_default()))),
-            Poll::Ready(Some(Err(_))) => Poll::Ready(Err(Problem::malformed("the body ended before it was whole"))),
+            Poll::Ready(Some(Ok(frame))) => {
+                Poll::Ready(Ok(Some(frame.into_data().unwrap_or_default())))
+            }
+            Poll::Ready(Some(Err(_))) => {
+                Poll::Ready(Err(Problem::malformed("the body ended before it was whole")))
+            }
             Poll::Pending if waiting.is_some() => Poll::Pending,
             Poll::Pending => match self.waited_for[usize::from(known)].try_acquire() {
                 Ok(place) => {
@@ -115,18 +125,27 @@ impl Arrivals {
         }
     }
 
-    fn keep<'a>(&'a self, gathered: &mut Gathered<'a>, data: &[u8], bytes_max: usize) -> Result<(), Problem> {
+    fn keep<'a>(
+        &'a self,
+        gathered: &mut Gathered<'a>,
+        data: &[u8],
+        bytes_max: usize,
+    ) -> Result<(), Problem> {
         if gathered.bytes.len() + data.len() > bytes_max {
             return Err(Problem::too_large(bytes_max));
         }
-        let kib = self.kib.try_acquire_many(data.len().div_ceil(1024) as u32).map_err(|_| self.refuse())?;
+        let kib = self
+            .kib
+            .try_acquire_many(data.len().div_ceil(1024) as u32)
+            .map_err(|_| self.refuse())?;
         gathered.kib.push(kib);
         gathered.bytes.extend_from_slice(data);
         Ok(())
     }
 
     fn refuse(&self) -> Problem {
-        self.full.happened(1, |refused| tracing::warn!(refused, "too many requests are sent in part"));
+        self.full
+            .happened(1, |refused| tracing::warn!(refused, "too many requests are sent in part"));
         Problem::unavailable("too many requests are being sent at once; try again in a moment")
     }
 }
@@ -136,7 +155,9 @@ async fn discard(mut body: Body) {
     let (mut left, limit) = DISCARDED;
     let rest = async {
         while left > 0 {
-            let Some(Ok(frame)) = poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)).await else { return };
+            let Some(Ok(frame)) = poll_fn(|cx| Pin::new(&mut body).poll_frame(cx)).await else {
+                return;
+            };
             left = left.saturating_sub(frame.data_ref().map_or(0, Bytes::len));
         }
     };
@@ -152,12 +173,16 @@ mod tests {
 
     /// A body that delivers these pieces and then stalls.
     fn unfinished(pieces: &[&'static [u8]]) -> Body {
-        let pieces: Vec<_> = pieces.iter().map(|piece| Ok::<_, BoxError>(Bytes::from_static(piece))).collect();
+        let pieces: Vec<_> =
+            pieces.iter().map(|piece| Ok::<_, BoxError>(Bytes::from_static(piece))).collect();
         Body::from_stream(stream::iter(pieces).chain(stream::pending()))
     }
 
     async fn status(arrivals: &Arrivals, body: Body, bytes_max: usize) -> u16 {
-        arrivals.gather(&HeaderMap::new(), body, bytes_max, false).await.map_or_else(|problem| problem.status, |_| 200)
+        arrivals
+            .gather(&HeaderMap::new(), body, bytes_max, false)
+            .await
+            .map_or_else(|problem| problem.status, |_| 200)
     }
 
     #[tokio::test]
@@ -180,8 +205,10 @@ mod tests {
     #[tokio::test]
     async fn a_body_that_says_it_is_too_long_is_not_read() {
         let expect = (header::EXPECT, "100-continue".parse().unwrap());
-        let headers = HeaderMap::from_iter([(header::CONTENT_LENGTH, "11".parse().unwrap()), expect]);
-        let refused = Arrivals::default().gather(&headers, unfinished(&[]), 10, true).await.unwrap_err();
+        let headers =
+            HeaderMap::from_iter([(header::CONTENT_LENGTH, "11".parse().unwrap()), expect]);
+        let refused =
+            Arrivals::default().gather(&headers, unfinished(&[]), 10, true).await.unwrap_err();
         assert_eq!(refused.status, 413);
     }
 }

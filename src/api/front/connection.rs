@@ -173,7 +173,11 @@ impl State {
         let silent = !self.has_asked && past(born, HEAD);
         let blocked = self.blocked.is_some_and(|since| past(since, BLOCKED));
         let stalled = ordinary > 0 && past(self.moved, STALLED);
-        if silent || blocked || stalled || self.asked_to_leave.is_some_and(|since| past(since, LEAVING)) {
+        if silent
+            || blocked
+            || stalled
+            || self.asked_to_leave.is_some_and(|since| past(since, LEAVING))
+        {
             return Verdict::Cut;
         }
         let rests = ordinary + streams + stops == 0 && self.has_asked && past(self.moved, REST);

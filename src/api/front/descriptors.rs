@@ -16,13 +16,18 @@ const CONNECTIONS_MIN: usize = 16;
 pub fn room() -> usize {
     let room = connections(descriptors());
     if room < CONNECTIONS_MAX / 4 {
-        tracing::warn!(connections = room, "the limit of open files is low: raise it (ulimit -n 4096)");
+        tracing::warn!(
+            connections = room,
+            "the limit of open files is low: raise it (ulimit -n 4096)"
+        );
     }
     room
 }
 
 fn connections(descriptors: usize) -> usize {
-    descriptors.saturating_sub(KEPT_BACK.max(descriptors / 4)).clamp(CONNECTIONS_MIN, CONNECTIONS_MAX)
+    descriptors
+        .saturating_sub(KEPT_BACK.max(descriptors / 4))
+        .clamp(CONNECTIONS_MIN, CONNECTIONS_MAX)
 }
 
 /// The soft limit, raised to the hard limit if possible.

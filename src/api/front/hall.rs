@@ -52,12 +52,22 @@ struct Held {
 impl Hall {
     /// Creates one in front of `router`, which runs on `main`.
     pub fn new(main: Handle, router: Router) -> Self {
-        Self { main, router, seats: Seats::default(), streams: Streams::default(), arrivals: Arc::default() }
+        Self {
+            main,
+            router,
+            seats: Seats::default(),
+            streams: Streams::default(),
+            arrivals: Arc::default(),
+        }
     }
 
     /// Checks the role first, then awaits the body, then a seat: a request waiting for one holds
     /// none of the later ones.
-    async fn admit(&self, connection: &Connection, request: Request) -> Result<(Request, Held), Problem> {
+    async fn admit(
+        &self,
+        connection: &Connection,
+        request: Request,
+    ) -> Result<(Request, Held), Problem> {
         let caller = Caller::of(request.extensions());
         let of_grpc = is_grpc(request.headers());
         let path = request.uri().path();
@@ -66,7 +76,8 @@ impl Hall {
         }
         let (class, streams) = (class(&request, &caller), is_stream(path));
         let request = self.with_body(request, &caller).await?;
-        let stream = streams.then(|| self.streams.take(connection, caller.is_anonymous())).transpose()?;
+        let stream =
+            streams.then(|| self.streams.take(connection, caller.is_anonymous())).transpose()?;
         let seat = self.seats.take(class).await?;
         let is_long = matches!(class, Class::Long | Class::LongAnonymous);
         Ok((request, Held { seat, is_long, _stream: stream }))
@@ -84,7 +95,8 @@ impl Hall {
         }
         let bytes_max = bytes_max(path) + if of_grpc { GRPC_PREFIX } else { 0 };
         let (parts, body) = request.into_parts();
-        let bytes = self.arrivals.gather(&parts.headers, body, bytes_max, !caller.is_anonymous()).await?;
+        let bytes =
+            self.arrivals.gather(&parts.headers, body, bytes_max, !caller.is_anonymous()).await?;
         Ok(Request::from_parts(parts, Body::from(bytes)))
     }
 
@@ -130,7 +142,10 @@ pub async fn hall(
 /// end only copies bytes.
 async fn work(router: Router, request: Request, held: Held, head: oneshot::Sender<Response>) {
     let answered = tokio::time::timeout(PATIENCE, router.oneshot(request)).await;
-    let late = || Problem::unavailable("the request took too long; it may still have been carried out").into_response();
+    let late = || {
+        Problem::unavailable("the request took too long; it may still have been carried out")
+            .into_response()
+    };
     let Ok(response) = answered.unwrap_or_else(|_| Ok(late()));
     let (parts, body) = response.into_parts();
     if body.size_hint().exact().is_some() {
@@ -158,7 +173,8 @@ pub fn is_stream(path: &str) -> bool {
 
 /// Whether the response grows with the whole history.
 fn is_long(path: &str) -> bool {
-    const LONG: [&str; 4] = ["/v1/audit.json", "/v1/audit.csv", "/v1/audit/verification", "/flip.v1.Bench/VerifyAudit"];
+    const LONG: [&str; 4] =
+        ["/v1/audit.json", "/v1/audit.csv", "/v1/audit/verification", "/flip.v1.Bench/VerifyAudit"];
     LONG.contains(&path) || path.starts_with("/v1/") && path.ends_with("measurements.csv")
 }
 
@@ -207,7 +223,12 @@ mod tests {
 
     #[test]
     fn events_are_followed_over_both_transports() {
-        for path in ["/v1/events", "/v1/jobs/1/events", "/flip.v1.Jobs/WatchJob", "/grpc.health.v1.Health/Watch"] {
+        for path in [
+            "/v1/events",
+            "/v1/jobs/1/events",
+            "/flip.v1.Jobs/WatchJob",
+            "/grpc.health.v1.Health/Watch",
+        ] {
             assert!(is_stream(path), "{path}");
         }
         assert!(!is_stream("/v1/jobs/1") && !is_stream("/flip.v1.Jobs/GetJob"));

@@ -39,7 +39,10 @@ impl Handshakes {
     /// # Errors
     /// The system cannot spawn a thread.
     pub fn with(tls: TlsAcceptor) -> io::Result<(Self, Runtime)> {
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).thread_name("handshake").build()?;
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("handshake")
+            .build()?;
         Ok((Self { tls, turns: Turns::default(), thread: runtime.handle().clone() }, runtime))
     }
 
@@ -125,7 +128,8 @@ impl Queue {
         }
         let all: usize = self.peers.iter().map(|it| it.1.len()).sum();
         let most = self.peers.iter_mut().max_by_key(|it| it.1.len());
-        most.filter(|it| it.1.len() > PEER_MAX || all > ALL_MAX).is_some_and(|it| it.1.pop_front().is_some())
+        most.filter(|it| it.1.len() > PEER_MAX || all > ALL_MAX)
+            .is_some_and(|it| it.1.pop_front().is_some())
     }
 
     /// The newest handshake of the address whose turn it is.
@@ -157,7 +161,8 @@ mod tests {
     /// A queued handshake from the address 10.0.0.`peer`.
     fn one_more(turns: &Turns, peer: u8) -> Waiting {
         let turns = turns.clone();
-        let mut waiting: Waiting = Box::pin(async move { turns.take(IpAddr::from([10, 0, 0, peer])).await });
+        let mut waiting: Waiting =
+            Box::pin(async move { turns.take(IpAddr::from([10, 0, 0, peer])).await });
         assert!(waiting.as_mut().now_or_never().is_none());
         waiting
     }
@@ -173,7 +178,11 @@ mod tests {
         assert!(newest.is_some() && other.as_mut().now_or_never().is_none());
         drop(newest);
         assert!(other.now_or_never().flatten().is_some());
-        let given_up = flood.iter_mut().filter_map(|it| it.as_mut().now_or_never()).filter(Option::is_none).count();
+        let given_up = flood
+            .iter_mut()
+            .filter_map(|it| it.as_mut().now_or_never())
+            .filter(Option::is_none)
+            .count();
         assert_eq!(given_up, 1000 - PEER_MAX);
     }
 
@@ -190,7 +199,8 @@ mod tests {
     fn a_client_that_is_gone_does_not_keep_the_turn() {
         let turns = Turns::default();
         let first = turns.take(IpAddr::from([10, 0, 0, 1])).now_or_never().flatten();
-        let (gone, mut waits, told) = (one_more(&turns, 1), one_more(&turns, 1), one_more(&turns, 1));
+        let (gone, mut waits, told) =
+            (one_more(&turns, 1), one_more(&turns, 1), one_more(&turns, 1));
         drop(gone);
         drop(first);
         // It has been given the turn, and leaves without having taken it.

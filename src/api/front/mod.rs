@@ -142,7 +142,9 @@ pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken
     let gate = auth::Gate { app: app.clone(), loopback };
     stop::router(app.clone(), &Handle::current())
         .merge(probes::alive(app.clone(), closing))
-        .fallback_service(Router::new().fallback(hall).with_state(Hall::new(Handle::current(), main)))
+        .fallback_service(
+            Router::new().fallback(hall).with_state(Hall::new(Handle::current(), main)),
+        )
         .layer(from_fn(known))
         .layer(from_fn_with_state(gate, auth::identify))
         .layer(from_fn(auth::same_origin))
@@ -154,14 +156,22 @@ pub fn router(app: App, loopback: bool, main: Router, closing: CancellationToken
 }
 
 /// Registers the request with its connection.
-async fn follow(Extension(connection): Extension<Arc<Connection>>, request: Request, next: Next) -> Response {
+async fn follow(
+    Extension(connection): Extension<Arc<Connection>>,
+    request: Request,
+    next: Next,
+) -> Response {
     let kind = if is_stream(request.uri().path()) { Kind::Stream } else { Kind::Ordinary };
     let under_way = connection.begin(kind);
     next.run(request).await.map(|body| Body::new(Answer::new(body, under_way)))
 }
 
 /// Records on the connection that the caller holds a token.
-async fn known(Extension(connection): Extension<Arc<Connection>>, request: Request, next: Next) -> Response {
+async fn known(
+    Extension(connection): Extension<Arc<Connection>>,
+    request: Request,
+    next: Next,
+) -> Response {
     if !auth::Caller::of(request.extensions()).is_anonymous() {
         connection.shown_token();
     }
@@ -211,7 +221,11 @@ impl Doors {
     async fn make_room(&self, error: &io::Error, complaint: &Complaint) {
         let error = error.to_string();
         complaint.happened(1, move |times| {
-            tracing::warn!(error, times, "a connection could not be taken: the least useful one is closed for it");
+            tracing::warn!(
+                error,
+                times,
+                "a connection could not be taken: the least useful one is closed for it"
+            );
         });
         self.table.give_way();
         tokio::time::sleep(Duration::from_millis(5)).await;
@@ -255,8 +269,13 @@ impl Doors {
 
     /// Answers requests until either side closes; errors on the connection are left for the client
     /// to notice.
-    async fn speak(&self, stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, connection: &Arc<Connection>) {
-        let service = TowerToHyperService::new(Extension(connection.clone()).layer(self.router.clone()));
+    async fn speak(
+        &self,
+        stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+        connection: &Arc<Connection>,
+    ) {
+        let service =
+            TowerToHyperService::new(Extension(connection.clone()).layer(self.router.clone()));
         let mut conversation = pin!(self.http.serve_connection(TokioIo::new(stream), service));
         tokio::select! {
             _ended = conversation.as_mut() => {}
@@ -298,7 +317,10 @@ mod tests {
         }
     }
 
-    async fn connect(address: SocketAddr, roots: RootCertStore) -> io::Result<TlsStream<TcpStream>> {
+    async fn connect(
+        address: SocketAddr,
+        roots: RootCertStore,
+    ) -> io::Result<TlsStream<TcpStream>> {
         let config = ClientConfig::builder().with_root_certificates(roots).with_no_client_auth();
         let stream = TcpStream::connect(address).await?;
         TlsConnector::from(Arc::new(config)).connect("localhost".try_into().unwrap(), stream).await
@@ -309,9 +331,12 @@ mod tests {
         let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
         let mut roots = RootCertStore::empty();
         roots.add(made.cert.der().clone()).unwrap();
-        let key = any_supported_type(&PrivateKeyDer::Pkcs8(made.signing_key.serialize_der().into())).unwrap();
+        let key =
+            any_supported_type(&PrivateKeyDer::Pkcs8(made.signing_key.serialize_der().into()))
+                .unwrap();
         let key = Arc::new(CertifiedKey::new(vec![made.cert.der().clone()], key));
-        let ((begun, mut begins), (permit, permits)) = (tokio::sync::mpsc::unbounded_channel(), mpsc::channel());
+        let ((begun, mut begins), (permit, permits)) =
+            (tokio::sync::mpsc::unbounded_channel(), mpsc::channel());
         let slow = Slow { key, begun, permits: permits.into() };
         let tls = ServerConfig::builder().with_no_client_auth().with_cert_resolver(Arc::new(slow));
 
@@ -319,18 +344,25 @@ mod tests {
         listener.set_nonblocking(true).unwrap();
         let address = listener.local_addr().unwrap();
         let router = Router::new().route("/", axum::routing::get(async || "here"));
-        let _front = Front::open(listener, Some(Arc::new(tls).into()), router, CancellationToken::new()).unwrap();
+        let _front =
+            Front::open(listener, Some(Arc::new(tls).into()), router, CancellationToken::new())
+                .unwrap();
         permit.send(()).unwrap();
         let mut established = connect(address, roots.clone()).await.unwrap();
         begins.recv().await.unwrap();
-        let waiting: Vec<_> = (0..8).map(|_| tokio::spawn(connect(address, roots.clone()))).collect();
+        let waiting: Vec<_> =
+            (0..8).map(|_| tokio::spawn(connect(address, roots.clone()))).collect();
         // One of them computes, and none of them gets any further.
         begins.recv().await.unwrap();
         for _ in 0..8 {
             established.write_all(b"GET / HTTP/1.1\r\nhost: localhost\r\n\r\n").await.unwrap();
             let mut answer = Vec::new();
             while !answer.ends_with(b"here") {
-                let read = tokio::time::timeout(Duration::from_secs(20), established.read_buf(&mut answer)).await;
+                let read = tokio::time::timeout(
+                    Duration::from_secs(20),
+                    established.read_buf(&mut answer),
+                )
+                .await;
                 assert!(read.expect("an established connection is answered").unwrap() > 0);
             }
         }

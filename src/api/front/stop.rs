@@ -53,7 +53,8 @@ pub fn router(app: App, main: &Handle) -> Router {
     let (by_path, by_message) = (rest::weighing_stop(app.clone()), grpc::weighing_stop(app));
     let of_weighings = Elsewhere::of(main);
     let by_message = carried(by_message, of_weighings.clone()).route_layer(from_fn(message));
-    let stops = carried(bench, Elsewhere::of(main)).merge(carried(by_path, of_weighings)).merge(by_message);
+    let stops =
+        carried(bench, Elsewhere::of(main)).merge(carried(by_path, of_weighings)).merge(by_message);
     let stops = stops.route_layer(from_fn(permit));
     stops.method_not_allowed_fallback(async || Problem::method_not_allowed())
 }
@@ -63,7 +64,11 @@ fn carried(stops: Router, elsewhere: Elsewhere) -> Router {
 }
 
 /// Requires the operator role; from here on the connection is not closed to make room for others.
-async fn permit(Extension(connection): Extension<Arc<Connection>>, request: Request, next: Next) -> Response {
+async fn permit(
+    Extension(connection): Extension<Arc<Connection>>,
+    request: Request,
+    next: Next,
+) -> Response {
     if let Err(problem) = auth::require(request.extensions(), Role::Operator) {
         return problem.into_response();
     }
@@ -96,7 +101,11 @@ async fn at_once(
     if let Some(response) = work.as_mut().now_or_never() {
         return response;
     }
-    let place = elsewhere.places.try_acquire_owned().ok().filter(|_| connection.stops() <= WAITING_CONNECTION);
+    let place = elsewhere
+        .places
+        .try_acquire_owned()
+        .ok()
+        .filter(|_| connection.stops() <= WAITING_CONNECTION);
     let Some(place) = place else {
         return Problem::unavailable(
             "whatever moves was told to stop, but too many stops of weighings that have not begun wait for the database: try again in a moment, or stop the bench",

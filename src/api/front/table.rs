@@ -47,7 +47,12 @@ impl Drop for Place {
 impl Table {
     /// A table for this many connections.
     pub fn new(room: usize) -> Self {
-        Self { room, open: Mutex::default(), full: Complaint::default(), silent: Complaint::default() }
+        Self {
+            room,
+            open: Mutex::default(),
+            full: Complaint::default(),
+            silent: Complaint::default(),
+        }
     }
 
     /// Its capacity.
@@ -79,8 +84,13 @@ impl Table {
 
     /// Closes the least useful of those that `may_go`.
     fn evict(&self, open: &mut Open, may_go: impl Fn(&Connection) -> bool, now: Instant) {
-        let candidates = open.by_id.iter().filter(|(_, old)| may_go(old)).map(|(id, old)| (old.usefulness(now), *id));
-        let mut candidates: Vec<_> = candidates.filter(|((used, _), _)| *used < Use::Stopping).collect();
+        let candidates = open
+            .by_id
+            .iter()
+            .filter(|(_, old)| may_go(old))
+            .map(|(id, old)| (old.usefulness(now), *id));
+        let mut candidates: Vec<_> =
+            candidates.filter(|((used, _), _)| *used < Use::Stopping).collect();
         candidates.sort_unstable();
         candidates.truncate((self.room / AT_ONCE).max(1));
         for (_, id) in &candidates {
@@ -90,7 +100,11 @@ impl Table {
         }
         let (room, gone) = (self.room, candidates.len() as u64);
         self.full.happened(gone, move |closed| {
-            tracing::warn!(room, closed, "all connections are taken; the least useful ones were closed for new ones");
+            tracing::warn!(
+                room,
+                closed,
+                "all connections are taken; the least useful ones were closed for new ones"
+            );
         });
     }
 
@@ -114,7 +128,10 @@ impl Table {
         }
         if closed > 0 {
             self.silent.happened(closed, |closed| {
-                tracing::warn!(closed, "connections that sent no whole request or took no answer in time were closed");
+                tracing::warn!(
+                    closed,
+                    "connections that sent no whole request or took no answer in time were closed"
+                );
             });
         }
     }
@@ -146,7 +163,8 @@ mod tests {
         let known = table.admit(HERE, start);
         known.connection.shown_token();
         let silent: Vec<_> = (0..6).map(|_| table.admit(HERE, start)).collect();
-        let flood: Vec<_> = (1..=50).map(|k| table.admit(HERE, start + Duration::from_secs(2 * k))).collect();
+        let flood: Vec<_> =
+            (1..=50).map(|k| table.admit(HERE, start + Duration::from_secs(2 * k))).collect();
         let cut = |place: &Place| place.connection.cut.is_cancelled();
         assert!(silent.iter().all(cut) && flood[..40].iter().all(cut));
         assert!(!cut(&asking) && !cut(&known) && !cut(&flood[49]));
@@ -157,8 +175,9 @@ mod tests {
     fn one_peer_of_the_network_cannot_push_out_another() {
         let (table, start) = (Arc::new(Table::new(8)), Instant::now());
         let other = table.admit(IpAddr::from([10, 0, 0, 2]), start);
-        let flood: Vec<_> =
-            (1..=50).map(|k| table.admit(IpAddr::from([10, 0, 0, 1]), start + Duration::from_secs(2 * k))).collect();
+        let flood: Vec<_> = (1..=50)
+            .map(|k| table.admit(IpAddr::from([10, 0, 0, 1]), start + Duration::from_secs(2 * k)))
+            .collect();
         assert!(!other.connection.cut.is_cancelled());
         assert_eq!(flood.iter().filter(|place| !place.connection.cut.is_cancelled()).count(), 2);
     }
@@ -168,7 +187,8 @@ mod tests {
         let (table, start) = (Arc::new(Table::new(2)), Instant::now());
         let stopping = table.admit(HERE, start);
         let _stop = stopping.connection.begin(Kind::Stop);
-        let _others: Vec<_> = (0..20).map(|_| table.admit(HERE, start + Duration::from_secs(60))).collect();
+        let _others: Vec<_> =
+            (0..20).map(|_| table.admit(HERE, start + Duration::from_secs(60))).collect();
         assert!(!stopping.connection.cut.is_cancelled());
     }
 }

@@ -8,33 +8,54 @@ use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
 impl bench_server::Bench for Service {
-    async fn get_bench(&self, request: Request<GetBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+    async fn get_bench(
+        &self,
+        request: Request<GetBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
         read(request)?;
         Ok(Response::new(self.app.bench().await?.into()))
     }
 
-    async fn stop_bench(&self, request: Request<StopBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+    async fn stop_bench(
+        &self,
+        request: Request<StopBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
         write(request)?;
         Ok(Response::new(self.app.stop_bench().await?.into()))
     }
 
-    async fn clear_bench(&self, request: Request<ClearBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+    async fn clear_bench(
+        &self,
+        request: Request<ClearBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
         let ClearBenchRequest { by, note, looked, vial_ready, resume } = clear(request)?;
-        let cleared = self.app.clear_bench(ClearRequest { by, note, looked, vial_ready, resume }).await?;
+        let cleared =
+            self.app.clear_bench(ClearRequest { by, note, looked, vial_ready, resume }).await?;
         Ok(Response::new(cleared.into()))
     }
 
-    async fn resume_bench(&self, request: Request<ResumeBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+    async fn resume_bench(
+        &self,
+        request: Request<ResumeBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
         let ResumeBenchRequest { by, note } = write(request)?;
         Ok(Response::new(self.app.resume_bench(ResumeRequest { by, note }).await?.into()))
     }
 
-    async fn reserve_bench(&self, request: Request<ReserveBenchRequest>) -> Result<Response<Reservation>, Status> {
+    async fn reserve_bench(
+        &self,
+        request: Request<ReserveBenchRequest>,
+    ) -> Result<Response<Reservation>, Status> {
         let ReserveBenchRequest { owner, seconds, id } = write(request)?;
-        Ok(Response::new(self.app.reserve_bench(app::ReservationRequest { owner, seconds, id }).await?.into()))
+        Ok(Response::new(
+            self.app.reserve_bench(app::ReservationRequest { owner, seconds, id }).await?.into(),
+        ))
     }
 
-    async fn release_bench(&self, request: Request<ReleaseBenchRequest>) -> Result<Response<BenchStatus>, Status> {
+    async fn release_bench(
+        &self,
+        request: Request<ReleaseBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
         self.app.release_bench(&write(request)?.id).await?;
         Ok(Response::new(self.app.bench().await?.into()))
     }
@@ -44,17 +65,26 @@ impl bench_server::Bench for Service {
         request: Request<CheckRepeatabilityRequest>,
     ) -> Result<Response<Repeatability>, Status> {
         let CheckRepeatabilityRequest { readings_mg, readability_mg } = write(request)?;
-        let found = self.app.check_repeatability(RepeatabilityRequest { readings_mg, readability_mg }).await?;
+        let found = self
+            .app
+            .check_repeatability(RepeatabilityRequest { readings_mg, readability_mg })
+            .await?;
         Ok(Response::new(found.into()))
     }
 
-    async fn list_audit(&self, request: Request<ListAuditRequest>) -> Result<Response<ListAuditResponse>, Status> {
+    async fn list_audit(
+        &self,
+        request: Request<ListAuditRequest>,
+    ) -> Result<Response<ListAuditResponse>, Status> {
         let asked = read(request)?;
         let found = self.app.audit(asked.weighing.as_deref(), page(asked.page)).await?;
         Ok(Response::new(ListAuditResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn verify_audit(&self, request: Request<VerifyAuditRequest>) -> Result<Response<AuditVerification>, Status> {
+    async fn verify_audit(
+        &self,
+        request: Request<VerifyAuditRequest>,
+    ) -> Result<Response<AuditVerification>, Status> {
         let asked = read(request)?;
         Ok(Response::new(self.app.verify_audit(asked.hash.as_deref()).await?.into()))
     }

@@ -14,12 +14,29 @@ impl calibrations_server::Calibrations for Service {
     ) -> Result<Response<StartJobResponse>, Status> {
         let request = write(request)?;
         let method = named::<CalibrationMethod, _>("method", request.method)?;
-        let StartCalibrationRequest { powder, repose_deg, sd_deg, n, sets, tolerance_deg, particles, .. } = request;
-        let StartCalibrationRequest { trials_max, verify_repeats, readings, seed, verify_particles, simulator, .. } =
-            request;
+        let StartCalibrationRequest {
+            powder,
+            repose_deg,
+            sd_deg,
+            n,
+            sets,
+            tolerance_deg,
+            particles,
+            ..
+        } = request;
+        let StartCalibrationRequest {
+            trials_max,
+            verify_repeats,
+            readings,
+            seed,
+            verify_particles,
+            simulator,
+            ..
+        } = request;
         let observations = request.observations.into_iter().enumerate();
-        let observations: Vec<_> =
-            observations.map(|(k, wire)| observation(&format!("observations[{k}]"), wire)).collect::<Result<_, _>>()?;
+        let observations: Vec<_> = observations
+            .map(|(k, wire)| observation(&format!("observations[{k}]"), wire))
+            .collect::<Result<_, _>>()?;
         let request = CalibrationRequest {
             powder,
             repose_deg,
@@ -49,11 +66,17 @@ impl calibrations_server::Calibrations for Service {
         Ok(Response::new(ListCalibrationsResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn get_calibration(&self, request: Request<GetCalibrationRequest>) -> Result<Response<Calibration>, Status> {
+    async fn get_calibration(
+        &self,
+        request: Request<GetCalibrationRequest>,
+    ) -> Result<Response<Calibration>, Status> {
         Ok(Response::new(self.app.calibration(&read(request)?.id).await?.into()))
     }
 
-    async fn get_posterior(&self, request: Request<GetPosteriorRequest>) -> Result<Response<Posterior>, Status> {
+    async fn get_posterior(
+        &self,
+        request: Request<GetPosteriorRequest>,
+    ) -> Result<Response<Posterior>, Status> {
         Ok(Response::new(self.app.posterior(&read(request)?.calibration).await?.into()))
     }
 
@@ -65,7 +88,10 @@ impl calibrations_server::Calibrations for Service {
         Ok(Response::new(self.app.compare_calibrations(&calibration, &with).await?.into()))
     }
 
-    async fn list_trials(&self, request: Request<ListTrialsRequest>) -> Result<Response<ListTrialsResponse>, Status> {
+    async fn list_trials(
+        &self,
+        request: Request<ListTrialsRequest>,
+    ) -> Result<Response<ListTrialsResponse>, Status> {
         let request = read(request)?;
         let found = self.app.trials(&request.calibration, page(request.page)).await?;
         Ok(Response::new(ListTrialsResponse { items: all(found.items), next: found.next }))

@@ -377,8 +377,12 @@ impl From<Observable> for proto::Observable {
     fn from(ours: Observable) -> Self {
         use proto::observable::Kind;
         let kind = match ours {
-            Observable::FlowTime { mass_g, orifice_mm } => Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm }),
-            Observable::ShakeMass { pitch_deg, shake_mm } => Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm }),
+            Observable::FlowTime { mass_g, orifice_mm } => {
+                Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm })
+            }
+            Observable::ShakeMass { pitch_deg, shake_mm } => {
+                Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm })
+            }
             Observable::DrainedAngle {} => Kind::DrainedAngle(proto::DrainedAngle {}),
             Observable::PileHeight { base_diameter_mm, fall_mm } => {
                 Kind::PileHeight(proto::PileHeight { base_diameter_mm, fall_mm })
@@ -401,8 +405,12 @@ impl From<proto::Observable> for Option<Observable> {
     fn from(wire: proto::Observable) -> Self {
         use proto::observable::Kind;
         Some(match wire.kind? {
-            Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm }) => Observable::FlowTime { mass_g, orifice_mm },
-            Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm }) => Observable::ShakeMass { pitch_deg, shake_mm },
+            Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm }) => {
+                Observable::FlowTime { mass_g, orifice_mm }
+            }
+            Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm }) => {
+                Observable::ShakeMass { pitch_deg, shake_mm }
+            }
             Kind::DrainedAngle(proto::DrainedAngle {}) => Observable::DrainedAngle {},
             Kind::PileHeight(proto::PileHeight { base_diameter_mm, fall_mm }) => {
                 Observable::PileHeight { base_diameter_mm, fall_mm }
@@ -425,7 +433,8 @@ pub fn named<W: TryFrom<i32>, T>(field: &str, number: i32) -> Result<Option<T>, 
 where
     Option<T>: From<W>,
 {
-    let wire = W::try_from(number).map_err(|_| FieldError::new(field, "is not one of the values of its enum"))?;
+    let wire = W::try_from(number)
+        .map_err(|_| FieldError::new(field, "is not one of the values of its enum"))?;
     Ok(wire.into())
 }
 
@@ -462,10 +471,14 @@ pub fn spoon(measured: Option<proto::Spoon>) -> Option<Spoon> {
 
 /// The requested page; by default the first.
 pub fn page(request: Option<proto::PageRequest>) -> PageQuery {
-    request.map_or_else(PageQuery::default, |page| PageQuery { limit: page.limit, after: page.after })
+    request
+        .map_or_else(PageQuery::default, |page| PageQuery { limit: page.limit, after: page.after })
 }
 
 pub(super) fn at(time: app::Timestamp) -> Option<Timestamp> {
     let ms = time.unix_ms();
-    Some(Timestamp { seconds: ms.div_euclid(1000), nanos: (ms.rem_euclid(1000) * 1_000_000) as i32 })
+    Some(Timestamp {
+        seconds: ms.div_euclid(1000),
+        nanos: (ms.rem_euclid(1000) * 1_000_000) as i32,
+    })
 }

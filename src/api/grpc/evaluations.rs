@@ -40,7 +40,10 @@ impl evaluations_server::Evaluations for Service {
         Ok(Response::new(ListEvaluationsResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn get_evaluation(&self, request: Request<GetEvaluationRequest>) -> Result<Response<Evaluation>, Status> {
+    async fn get_evaluation(
+        &self,
+        request: Request<GetEvaluationRequest>,
+    ) -> Result<Response<Evaluation>, Status> {
         Ok(Response::new(self.app.evaluation(&read(request)?.id).await?.into()))
     }
 }

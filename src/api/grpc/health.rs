@@ -25,7 +25,8 @@ const SERVICES: [&str; 13] = [
 
 /// Those that need the bench; the others keep serving while it is latched. The empty name stands
 /// for the whole service, whose purpose is weighing.
-const NEED_THE_BENCH: [&str; 4] = ["", "flip.v1.Weighings", "flip.v1.Bench", "flip.v1.ReposeMeasurements"];
+const NEED_THE_BENCH: [&str; 4] =
+    ["", "flip.v1.Weighings", "flip.v1.Bench", "flip.v1.ReposeMeasurements"];
 /// How often readiness is checked.
 const LOOK: Duration = Duration::from_secs(1);
 

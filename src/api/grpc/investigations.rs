@@ -12,10 +12,23 @@ impl investigations_server::Investigations for Service {
         &self,
         request: Request<StartInvestigationRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartInvestigationRequest { measurements_csv, traces_csv, dates, simulations, seed, budget_runs } =
-            write(request)?;
+        let StartInvestigationRequest {
+            measurements_csv,
+            traces_csv,
+            dates,
+            simulations,
+            seed,
+            budget_runs,
+        } = write(request)?;
         let dates = named::<DateOrder, _>("dates", dates.unwrap_or_default())?;
-        let request = InvestigationRequest { measurements_csv, traces_csv, dates, simulations, budget_runs, seed };
+        let request = InvestigationRequest {
+            measurements_csv,
+            traces_csv,
+            dates,
+            simulations,
+            budget_runs,
+            seed,
+        };
         Ok(Response::new(self.app.start_investigation(request).await?.into()))
     }
 

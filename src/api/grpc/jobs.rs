@@ -8,7 +8,10 @@ use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
 impl jobs_server::Jobs for Service {
-    async fn list_jobs(&self, request: Request<ListJobsRequest>) -> Result<Response<ListJobsResponse>, Status> {
+    async fn list_jobs(
+        &self,
+        request: Request<ListJobsRequest>,
+    ) -> Result<Response<ListJobsResponse>, Status> {
         let ListJobsRequest { page: wanted, kind, state } = read(request)?;
         let kind = named::<JobKind, _>("kind", kind.unwrap_or_default())?;
         let state = named::<JobState, _>("state", state.unwrap_or_default())?;
@@ -20,13 +23,19 @@ impl jobs_server::Jobs for Service {
         Ok(Response::new(self.app.job(&read(request)?.id).await?.into()))
     }
 
-    async fn cancel_job(&self, request: Request<CancelJobRequest>) -> Result<Response<Job>, Status> {
+    async fn cancel_job(
+        &self,
+        request: Request<CancelJobRequest>,
+    ) -> Result<Response<Job>, Status> {
         Ok(Response::new(self.app.cancel_job(&write(request)?.id).await?.into()))
     }
 
     type WatchJobStream = EventStream;
 
-    async fn watch_job(&self, request: Request<WatchRequest>) -> Result<Response<EventStream>, Status> {
+    async fn watch_job(
+        &self,
+        request: Request<WatchRequest>,
+    ) -> Result<Response<EventStream>, Status> {
         let WatchRequest { id, after_seq } = read(request)?;
         let events = self.app.events(Topic::Job(id), after(after_seq)?).await?;
         Ok(Response::new(watch(events)))

@@ -102,8 +102,9 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
 
 /// `StopBench`, for the front end. Its message is empty, so it is not awaited.
 pub fn bench_stop(app: App) -> Router {
-    let without_message =
-        map_request(async |request: axum::extract::Request| request.map(|_| Body::from(EMPTY_MESSAGE)));
+    let without_message = map_request(async |request: axum::extract::Request| {
+        request.map(|_| Body::from(EMPTY_MESSAGE))
+    });
     Router::new()
         .route_service("/flip.v1.Bench/StopBench", BenchServer::new(Service { app }))
         .route_layer(without_message)
@@ -111,7 +112,8 @@ pub fn bench_stop(app: App) -> Router {
 
 /// `StopWeighing`, for the front end.
 pub fn weighing_stop(app: App) -> Router {
-    Router::new().route_service("/flip.v1.Weighings/StopWeighing", WeighingsServer::new(Service { app }))
+    Router::new()
+        .route_service("/flip.v1.Weighings/StopWeighing", WeighingsServer::new(Service { app }))
 }
 
 fn reflection() -> tonic_reflection::server::Builder<'static> {
@@ -166,7 +168,10 @@ fn watch(events: BoxStream<'static, crate::app::Result<Event>>) -> EventStream {
 /// Sequence number after which a stream begins.
 fn after(seq: i64) -> Result<i64, Problem> {
     match seq {
-        ..0 => Err(FieldError::new("after_seq", "must be the position of an event, a number from 0").into()),
+        ..0 => {
+            Err(FieldError::new("after_seq", "must be the position of an event, a number from 0")
+                .into())
+        }
         seq => Ok(seq),
     }
 }

@@ -20,7 +20,10 @@ impl policies_server::Policies for Service {
         Ok(Response::new(ListPoliciesResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn get_policy(&self, request: Request<GetPolicyRequest>) -> Result<Response<Policy>, Status> {
+    async fn get_policy(
+        &self,
+        request: Request<GetPolicyRequest>,
+    ) -> Result<Response<Policy>, Status> {
         Ok(Response::new(self.app.policy(&read(request)?.id).await?.into()))
     }
 
@@ -32,6 +35,8 @@ impl policies_server::Policies for Service {
     ) -> Result<Response<Self::DownloadWeightsStream>, Status> {
         let bytes = self.app.policy_bytes(&read(request)?.id).await?;
         let chunks: Vec<_> = bytes.chunks(CHUNK_BYTES).map(<[u8]>::to_vec).collect();
-        Ok(Response::new(stream::iter(chunks).map(|chunk| Ok(DownloadWeightsResponse { chunk })).boxed()))
+        Ok(Response::new(
+            stream::iter(chunks).map(|chunk| Ok(DownloadWeightsResponse { chunk })).boxed(),
+        ))
     }
 }

@@ -17,16 +17,25 @@ impl powders_server::Powders for Service {
         Ok(Response::new(ListPowdersResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn get_powder(&self, request: Request<GetPowderRequest>) -> Result<Response<PowderDetail>, Status> {
+    async fn get_powder(
+        &self,
+        request: Request<GetPowderRequest>,
+    ) -> Result<Response<PowderDetail>, Status> {
         Ok(Response::new(self.app.powder(&read(request)?.id).await?.into()))
     }
 
-    async fn create_powder(&self, request: Request<CreatePowderRequest>) -> Result<Response<Powder>, Status> {
+    async fn create_powder(
+        &self,
+        request: Request<CreatePowderRequest>,
+    ) -> Result<Response<Powder>, Status> {
         let CreatePowderRequest { id, name } = write(request)?;
         Ok(Response::new(self.app.create_powder(app::NewPowder { id, name }).await?.into()))
     }
 
-    async fn add_measurement(&self, request: Request<AddMeasurementRequest>) -> Result<Response<Measurement>, Status> {
+    async fn add_measurement(
+        &self,
+        request: Request<AddMeasurementRequest>,
+    ) -> Result<Response<Measurement>, Status> {
         let request = write(request)?;
         let method = named::<Method, _>("method", request.method)?;
         let new = app::NewMeasurement {

@@ -15,8 +15,14 @@ impl repose_measurements_server::ReposeMeasurements for Service {
         &self,
         request: Request<StartReposeMeasurementRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartReposeMeasurementRequest { powder, run, procedure_json, rig_json, limits_json, reservation } =
-            write(request)?;
+        let StartReposeMeasurementRequest {
+            powder,
+            run,
+            procedure_json,
+            rig_json,
+            limits_json,
+            reservation,
+        } = write(request)?;
         let request = ReposeRequest {
             powder,
             run,
@@ -33,7 +39,10 @@ impl repose_measurements_server::ReposeMeasurements for Service {
         request: Request<ListReposeMeasurementsRequest>,
     ) -> Result<Response<ListReposeMeasurementsResponse>, Status> {
         let found = self.app.reposes(page(read(request)?.page)).await?;
-        Ok(Response::new(ListReposeMeasurementsResponse { items: all(found.items), next: found.next }))
+        Ok(Response::new(ListReposeMeasurementsResponse {
+            items: all(found.items),
+            next: found.next,
+        }))
     }
 
     async fn get_repose_measurement(
@@ -43,7 +52,10 @@ impl repose_measurements_server::ReposeMeasurements for Service {
         Ok(Response::new(self.app.repose(&read(request)?.id).await?.into()))
     }
 
-    async fn add_frame(&self, request: Request<AddFrameRequest>) -> Result<Response<AwaitedFrames>, Status> {
+    async fn add_frame(
+        &self,
+        request: Request<AddFrameRequest>,
+    ) -> Result<Response<AwaitedFrames>, Status> {
         let AddFrameRequest { id, depth, colour, description_json } = write(request)?;
         let frame = FrameUpload { depth, colour, description: description_json.into() };
         Ok(Response::new(self.app.add_frame(&id, frame).await?.into()))
@@ -70,8 +82,9 @@ impl repose_measurements_server::ReposeMeasurements for Service {
 /// Parses a field that holds JSON; the default if it is not set.
 fn written<T: DeserializeOwned + Default>(field: &str, text: Option<String>) -> Result<T, Problem> {
     let read = |text: String| {
-        serde_json::from_str(&text)
-            .map_err(|error| FieldError::new(field, format!("must be the JSON that REST has here: {error}")).into())
+        serde_json::from_str(&text).map_err(|error| {
+            FieldError::new(field, format!("must be the JSON that REST has here: {error}")).into()
+        })
     };
     text.map_or_else(|| Ok(T::default()), read)
 }

@@ -16,13 +16,21 @@ impl simulators_server::Simulators for Service {
         Ok(Response::new(ListSimulatorsResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn get_simulator(&self, request: Request<GetSimulatorRequest>) -> Result<Response<SimulatorVersion>, Status> {
+    async fn get_simulator(
+        &self,
+        request: Request<GetSimulatorRequest>,
+    ) -> Result<Response<SimulatorVersion>, Status> {
         Ok(Response::new(self.app.simulator(&read(request)?.id).await?.into()))
     }
 
-    async fn predict(&self, request: Request<PredictRequest>) -> Result<Response<PredictResponse>, Status> {
+    async fn predict(
+        &self,
+        request: Request<PredictRequest>,
+    ) -> Result<Response<PredictResponse>, Status> {
         let PredictRequest { id, measurements_csv } = write(request)?;
-        Ok(Response::new(PredictResponse { rows: all(self.app.predict(&id, &measurements_csv).await?) }))
+        Ok(Response::new(PredictResponse {
+            rows: all(self.app.predict(&id, &measurements_csv).await?),
+        }))
     }
 
     async fn get_current_simulator(

@@ -45,7 +45,8 @@ fn code(problem: &Problem) -> Code {
 /// see it, and reports a malformed one as an internal error although the caller is at fault.
 pub fn explain(response: Response, id: &str) -> Response {
     let Some(status) = response.extensions().get::<Status>() else { return response };
-    let carried = status.metadata().get_bin(PROBLEM_TRAILER).and_then(|value| value.to_bytes().ok());
+    let carried =
+        status.metadata().get_bin(PROBLEM_TRAILER).and_then(|value| value.to_bytes().ok());
     let problem = match carried.map(|json| serde_json::from_slice(&json)) {
         Some(Ok(problem)) => problem,
         None if status.code() == Code::Internal => {

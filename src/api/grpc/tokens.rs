@@ -20,19 +20,31 @@ impl tokens_server::Tokens for Service {
             Ok(Role::Viewer) => app::Role::Viewer,
             Ok(Role::Operator) => app::Role::Operator,
             Ok(Role::Admin) => app::Role::Admin,
-            _ => return Err(Problem::from(FieldError::new("role", "must be viewer, operator or admin")).into()),
+            _ => {
+                return Err(Problem::from(FieldError::new(
+                    "role",
+                    "must be viewer, operator or admin",
+                ))
+                .into());
+            }
         };
         let new = app::NewToken { name, role, may_clear, expires_in_s };
         let (entry, secret) = self.app.make_token(&new).await?;
         Ok(Response::new(CreateTokenResponse { token: Some(entry.into()), secret }))
     }
 
-    async fn list_tokens(&self, request: Request<ListTokensRequest>) -> Result<Response<ListTokensResponse>, Status> {
+    async fn list_tokens(
+        &self,
+        request: Request<ListTokensRequest>,
+    ) -> Result<Response<ListTokensResponse>, Status> {
         let found = self.app.tokens(page(govern(request)?.page)).await?;
         Ok(Response::new(ListTokensResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn revoke_token(&self, request: Request<RevokeTokenRequest>) -> Result<Response<Token>, Status> {
+    async fn revoke_token(
+        &self,
+        request: Request<RevokeTokenRequest>,
+    ) -> Result<Response<Token>, Status> {
         Ok(Response::new(self.app.revoke_token(&govern(request)?.id).await?.into()))
     }
 }

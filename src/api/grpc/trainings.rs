@@ -37,7 +37,10 @@ impl trainings_server::Trainings for Service {
         Ok(Response::new(ListTrainingsResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn get_training(&self, request: Request<GetTrainingRequest>) -> Result<Response<Training>, Status> {
+    async fn get_training(
+        &self,
+        request: Request<GetTrainingRequest>,
+    ) -> Result<Response<Training>, Status> {
         Ok(Response::new(self.app.training(&read(request)?.id).await?.into()))
     }
 

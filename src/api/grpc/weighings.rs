@@ -41,22 +41,36 @@ impl weighings_server::Weighings for Service {
         Ok(Response::new(ListWeighingsResponse { items: all(found.items), next: found.next }))
     }
 
-    async fn get_weighing(&self, request: Request<GetWeighingRequest>) -> Result<Response<WeighingDetail>, Status> {
+    async fn get_weighing(
+        &self,
+        request: Request<GetWeighingRequest>,
+    ) -> Result<Response<WeighingDetail>, Status> {
         Ok(Response::new(self.app.weighing(&read(request)?.id).await?.into()))
     }
 
-    async fn stop_weighing(&self, request: Request<StopWeighingRequest>) -> Result<Response<Weighing>, Status> {
+    async fn stop_weighing(
+        &self,
+        request: Request<StopWeighingRequest>,
+    ) -> Result<Response<Weighing>, Status> {
         Ok(Response::new(self.app.stop_weighing(&write(request)?.id).await?.into()))
     }
 
-    async fn vial_ready(&self, request: Request<VialReadyRequest>) -> Result<Response<Weighing>, Status> {
+    async fn vial_ready(
+        &self,
+        request: Request<VialReadyRequest>,
+    ) -> Result<Response<Weighing>, Status> {
         let VialReadyRequest { id, by, vial } = write(request)?;
-        Ok(Response::new(self.app.vial_ready(&id, app::VialReadyRequest { by, vial }).await?.into()))
+        Ok(Response::new(
+            self.app.vial_ready(&id, app::VialReadyRequest { by, vial }).await?.into(),
+        ))
     }
 
     type WatchWeighingStream = EventStream;
 
-    async fn watch_weighing(&self, request: Request<WatchRequest>) -> Result<Response<EventStream>, Status> {
+    async fn watch_weighing(
+        &self,
+        request: Request<WatchRequest>,
+    ) -> Result<Response<EventStream>, Status> {
         let WatchRequest { id, after_seq } = read(request)?;
         let events = self.app.events(Topic::Weighing(id), after(after_seq)?).await?;
         Ok(Response::new(watch(events)))
@@ -64,12 +78,28 @@ impl weighings_server::Weighings for Service {
 }
 
 fn purpose(asked: Asked) -> app::Asked {
-    let Asked { lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, retries_max } = asked;
+    let Asked {
+        lot,
+        vial,
+        operator,
+        temperature_c,
+        relative_humidity_pct,
+        accuracy_pct,
+        retries_max,
+    } = asked;
     let on_overdose = match retries_max {
         0 => app::OnOverdose::Stop,
         max => app::OnOverdose::DiscardAndRetry { max },
     };
-    app::Asked { lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, on_overdose }
+    app::Asked {
+        lot,
+        vial,
+        operator,
+        temperature_c,
+        relative_humidity_pct,
+        accuracy_pct,
+        on_overdose,
+    }
 }
 
 fn target(target: Option<Target>) -> Result<app::Target, Problem> {

@@ -80,9 +80,11 @@ pub async fn export_audit(
     Query(params): Query<ExportParams>,
 ) -> Result<Response, Problem> {
     let batches = app.audit_trail(params.weighing).enumerate();
-    let begun = batches.map(|(k, batch)| Ok(format!("{}{}", ["[", ","][k.min(1)], json_items(&batch?)?)));
+    let begun =
+        batches.map(|(k, batch)| Ok(format!("{}{}", ["[", ","][k.min(1)], json_items(&batch?)?)));
     let document = begun.chain(stream::once(async { Ok("]".to_owned()) }));
-    Ok(([(header::CONTENT_TYPE, "application/json")], pieces(document.boxed()).await?).into_response())
+    Ok(([(header::CONTENT_TYPE, "application/json")], pieces(document.boxed()).await?)
+        .into_response())
 }
 
 /// Records as JSON, separated by commas.

@@ -4,7 +4,8 @@ use super::extract::{Input, Path};
 use crate::api::auth::{Clearer, Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::{
-    App, BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest, Reservation, ReservationRequest, ResumeRequest,
+    App, BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest, Reservation,
+    ReservationRequest, ResumeRequest,
 };
 use axum::Json;
 use axum::extract::State;

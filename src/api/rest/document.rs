@@ -40,7 +40,8 @@ struct Token;
 
 impl Modify for Token {
     fn modify(&self, document: &mut OpenApi) {
-        let scheme = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).bearer_format("flip_…").build();
+        let scheme =
+            HttpBuilder::new().scheme(HttpAuthScheme::Bearer).bearer_format("flip_…").build();
         let components = document.components.get_or_insert_default();
         components.add_security_scheme(TOKEN, SecurityScheme::Http(scheme));
     }
@@ -60,21 +61,37 @@ pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi 
             operation.security = Some(security(safe));
             let has_body = operation.request_body.is_some();
             let refuse = |operation: &mut Operation, status: &str, meaning: &str| {
-                operation.responses.responses.entry(status.to_owned()).or_insert_with(|| RefOr::T(problem(meaning)));
+                operation
+                    .responses
+                    .responses
+                    .entry(status.to_owned())
+                    .or_insert_with(|| RefOr::T(problem(meaning)));
             };
             refuse(operation, "400", "The request is not valid; `errors` names the fields");
             refuse(operation, "401", "A valid token is needed");
-            refuse(operation, "403", "The token's role is not sufficient, or the request is from another origin");
+            refuse(
+                operation,
+                "403",
+                "The token's role is not sufficient, or the request is from another origin",
+            );
             if has_id {
                 refuse(operation, "404", "Not found");
             }
             if follows {
-                refuse(operation, "429", "This connection or address already follows too many streams");
+                refuse(
+                    operation,
+                    "429",
+                    "This connection or address already follows too many streams",
+                );
             }
             if has_body {
                 let bytes_max = if large(path) { LARGE_BYTES_MAX } else { BODY_BYTES_MAX };
                 refuse(operation, "408", "The body did not arrive in time");
-                refuse(operation, "413", &format!("The body is larger than {} MiB", bytes_max / (1024 * 1024)));
+                refuse(
+                    operation,
+                    "413",
+                    &format!("The body is larger than {} MiB", bytes_max / (1024 * 1024)),
+                );
                 refuse(operation, "415", "The body is not JSON");
             }
             refuse(operation, "500", "Server error; the log has the cause under `instance`");

@@ -49,7 +49,11 @@ impl WatchParams {
 
 fn checked(field: &str, seq: Option<i64>) -> Result<Option<i64>, Problem> {
     match seq {
-        Some(..0) => Err(FieldError::new(field, "must be the id of an event of this stream, a number from 0").into()),
+        Some(..0) => Err(FieldError::new(
+            field,
+            "must be the id of an event of this stream, a number from 0",
+        )
+        .into()),
         seq => Ok(seq),
     }
 }
@@ -111,7 +115,8 @@ pub async fn watch_weighing(
 ) -> Result<Response, Problem> {
     let after = params.after(&headers)?.unwrap_or(0);
     let state = app.weighing(&id).await?.weighing.state;
-    let ended = matches!(state, WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown);
+    let ended =
+        matches!(state, WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown);
     follow(app.events(Topic::Weighing(id), after).await?, ended).await
 }
 
@@ -132,7 +137,8 @@ async fn follow(mut events: Events, ended: bool) -> Result<Response, Problem> {
 /// Server-sent events until the stream ends or the token it was opened with does; an error ends it
 /// too, and the client resumes where it was.
 fn live(events: Events) -> Response {
-    let events = events.take_while(|event| std::future::ready(!matches!(event, Err(Error::TokenEnded))));
+    let events =
+        events.take_while(|event| std::future::ready(!matches!(event, Err(Error::TokenEnded))));
     Sse::new(events.map(frame)).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
 }
 

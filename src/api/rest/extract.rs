@@ -18,7 +18,8 @@ pub const LARGE_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// Maximum size of the body, or of the gRPC message, sent to this path.
 pub fn bytes_max(path: &str) -> usize {
-    let services = ["/flip.v1.ReposeMeasurements/", "/flip.v1.Investigations/", "/flip.v1.Simulators/"];
+    let services =
+        ["/flip.v1.ReposeMeasurements/", "/flip.v1.Investigations/", "/flip.v1.Simulators/"];
     let tables = ["/v1/measurements/import", "/v1/investigations"];
     let of_things = ["/frames", "/predictions"];
     let is_large = services.iter().any(|service| path.starts_with(service))
@@ -65,7 +66,12 @@ impl<S: Send + Sync> FromRequest<S> for Csv {
 }
 
 /// A body of this content type, within the size limit.
-async fn body<S: Send + Sync>(request: Request, state: &S, kind: &str, bytes_max: usize) -> Result<Bytes, Problem> {
+async fn body<S: Send + Sync>(
+    request: Request,
+    state: &S,
+    kind: &str,
+    bytes_max: usize,
+) -> Result<Bytes, Problem> {
     if !is_of_kind(request.headers(), kind) {
         return Err(Problem::unsupported_media_type(kind));
     }
@@ -76,7 +82,8 @@ async fn body<S: Send + Sync>(request: Request, state: &S, kind: &str, bytes_max
 }
 
 fn is_of_kind(headers: &HeaderMap, expected: &str) -> bool {
-    let text = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let text =
+        headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
     text.split(';').next().is_some_and(|kind| kind.trim().eq_ignore_ascii_case(expected))
 }
 
@@ -87,7 +94,9 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
         let path = if error.inner().is_eof() { ".".to_owned() } else { error.path().to_string() };
         refuse(&path, &error.into_inner().to_string())
     })?;
-    json.end().map_err(|error| Problem::malformed(format!("the body is not one JSON document: {error}")))?;
+    json.end().map_err(|error| {
+        Problem::malformed(format!("the body is not one JSON document: {error}"))
+    })?;
     Ok(value)
 }
 
@@ -97,7 +106,9 @@ fn refuse(path: &str, message: &str) -> Problem {
     let missing = message.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
     let field = match (path, missing) {
         (".", None) => {
-            return Problem::malformed(format!("the request does not read as what is expected here: {message}"));
+            return Problem::malformed(format!(
+                "the request does not read as what is expected here: {message}"
+            ));
         }
         (".", Some(name)) => name.to_owned(),
         (path, Some(name)) => format!("{path}.{name}"),
@@ -124,7 +135,8 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
 
 fn refuse_query(rejection: &QueryRejection) -> Problem {
     type Located = serde_path_to_error::Error<serde::de::value::Error>;
-    let chain = std::iter::successors(Some(rejection as &(dyn Error + 'static)), |&error| error.source());
+    let chain =
+        std::iter::successors(Some(rejection as &(dyn Error + 'static)), |&error| error.source());
     match chain.filter_map(|error| error.downcast_ref::<Located>()).next() {
         Some(located) => refuse(&located.path().to_string(), &located.inner().to_string()),
         None => Problem::malformed("the query string cannot be read"),
@@ -176,7 +188,11 @@ mod tests {
         ] {
             let problem = parse::<Request>(body.as_bytes()).unwrap_err();
             assert_eq!(problem.status, 400, "{body}");
-            assert_eq!(problem.errors.iter().map(|e| e.field.as_str()).collect::<Vec<_>>(), [field], "{problem:?}");
+            assert_eq!(
+                problem.errors.iter().map(|e| e.field.as_str()).collect::<Vec<_>>(),
+                [field],
+                "{problem:?}"
+            );
         }
     }
 

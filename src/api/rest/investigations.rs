@@ -73,7 +73,11 @@ pub async fn download_predictions(
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),
         (status = 409, description = "It has no report, or none yet", body = Problem,
             content_type = "application/problem+json")))]
-pub async fn get_report_page(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn get_report_page(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
     let page = report_html::html(&app.report(&id).await?);
     // It may load only its own inline style.
     Ok(([(header::CONTENT_SECURITY_POLICY, report_html::POLICY)], Html(page)).into_response())

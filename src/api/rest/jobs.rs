@@ -47,7 +47,11 @@ pub async fn list_jobs(
 /// One job.
 #[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path, description = "Job id")),
     responses((status = 200, description = "The job", body = Job)))]
-pub async fn get_job(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Json<Job>, Problem> {
+pub async fn get_job(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<Job>, Problem> {
     Ok(Json(app.job(&id).await?))
 }
 
@@ -57,7 +61,11 @@ pub async fn get_job(_: Viewer, State(app): State<App>, Path(id): Path<String>) 
 #[utoipa::path(post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path, description = "Job id")),
     responses((status = 202, description = "The job, cancelling or cancelled", body = Job),
         (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
-pub async fn cancel_job(_: Operator, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn cancel_job(
+    _: Operator,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
     let job = app.cancel_job(&id).await?;
     Ok(accepted(format!("/v1/jobs/{}", job.id), job))
 }

@@ -108,7 +108,8 @@ pub async fn import_measurements(
     Query(params): Query<ImportParams>,
     Csv(text): Csv,
 ) -> Result<Response, Problem> {
-    Ok((StatusCode::CREATED, Json(app.import_measurements(&text, params.create).await?)).into_response())
+    Ok((StatusCode::CREATED, Json(app.import_measurements(&text, params.create).await?))
+        .into_response())
 }
 
 /// Download all measurements of all powders as a CSV file that can be imported.

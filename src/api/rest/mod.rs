@@ -129,7 +129,9 @@ fn large_routes() -> OpenApiRouter<App> {
 /// The OpenAPI document of everything below `/v1`.
 pub fn openapi() -> OpenApi {
     let large = large_routes().into_openapi();
-    document::complete(routes().merge(large_routes()).into_openapi(), |path| large.paths.paths.contains_key(path))
+    document::complete(routes().merge(large_routes()).into_openapi(), |path| {
+        large.paths.paths.contains_key(path)
+    })
 }
 
 /// The routes, with `/openapi.json`.
@@ -154,7 +156,10 @@ fn csv_file(name: &str, text: String) -> Response {
 }
 
 /// As [`csv_file`], streamed.
-async fn csv_pieces(name: &str, text: BoxStream<'static, app::Result<String>>) -> Result<Response, Problem> {
+async fn csv_pieces(
+    name: &str,
+    text: BoxStream<'static, app::Result<String>>,
+) -> Result<Response, Problem> {
     let body = pieces(text).await?;
     let mut response = csv_file(name, String::new());
     *response.body_mut() = body;

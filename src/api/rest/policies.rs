@@ -30,7 +30,11 @@ pub async fn list_policies(
 #[utoipa::path(get, path = "/v1/policies/{id}", tag = "policies",
     params(("id" = String, Path, description = "Policy id, `p-…`")),
     responses((status = 200, description = "The policy", body = Policy)))]
-pub async fn get_policy(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Json<Policy>, Problem> {
+pub async fn get_policy(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<Policy>, Problem> {
     Ok(Json(app.policy(&id).await?))
 }
 
@@ -65,7 +69,10 @@ pub async fn download_policy_weights(
     let policy = app.policy(&id).await?;
     let headers = [
         (header::CONTENT_TYPE, "application/octet-stream".to_owned()),
-        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}.safetensors\"", policy.id)),
+        (
+            header::CONTENT_DISPOSITION,
+            format!("attachment; filename=\"{}.safetensors\"", policy.id),
+        ),
         (header::ETAG, format!("\"{}\"", policy.sha256)),
         (header::CACHE_CONTROL, IMMUTABLE.to_owned()),
     ];

@@ -6,7 +6,9 @@ use super::list::{ListParams, respond};
 use super::{accepted, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::app::{App, Awaited, Compared, FrameUpload, Job, Page, ReposeMeasurement, ReposeRequest};
+use crate::app::{
+    App, Awaited, Compared, FrameUpload, Job, Page, ReposeMeasurement, ReposeRequest,
+};
 use axum::Json;
 use axum::extract::{FromRequest, OriginalUri, Request, State};
 use axum::http::header;
@@ -36,7 +38,9 @@ pub struct NewFrame {
 impl NewFrame {
     fn upload(self) -> Result<FrameUpload, FieldError> {
         let bytes = |field: &str, text: &str| {
-            STANDARD.decode(text).map_err(|error| FieldError::new(field, format!("must be Base64: {error}")))
+            STANDARD
+                .decode(text)
+                .map_err(|error| FieldError::new(field, format!("must be Base64: {error}")))
         };
         Ok(FrameUpload {
             depth: bytes("depth", &self.depth)?,
@@ -131,6 +135,9 @@ pub async fn download_frame(
 /// Compare automated with manual measurements, for every powder measured both ways.
 #[utoipa::path(get, path = "/v1/measurements/comparison", tag = "powders",
     responses((status = 200, description = "One row per powder", body = Vec<Compared>)))]
-pub async fn compare_methods(_: Viewer, State(app): State<App>) -> Result<Json<Vec<Compared>>, Problem> {
+pub async fn compare_methods(
+    _: Viewer,
+    State(app): State<App>,
+) -> Result<Json<Vec<Compared>>, Problem> {
     Ok(Json(app.compare_methods().await?))
 }

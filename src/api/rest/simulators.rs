@@ -5,7 +5,10 @@ use super::extract::{Input, Large, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::app::{App, ChosenSimulator, CurrentSimulator, Page, PredictionRequest, SimulatorVersion, predictions_csv};
+use crate::app::{
+    App, ChosenSimulator, CurrentSimulator, Page, PredictionRequest, SimulatorVersion,
+    predictions_csv,
+};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -37,7 +40,10 @@ pub async fn get_simulator(
 /// The version used where none is named: the base until another is chosen.
 #[utoipa::path(get, path = "/v1/simulators/current", tag = "investigations",
     responses((status = 200, description = "The current version", body = CurrentSimulator)))]
-pub async fn get_current_simulator(_: Viewer, State(app): State<App>) -> Result<Json<CurrentSimulator>, Problem> {
+pub async fn get_current_simulator(
+    _: Viewer,
+    State(app): State<App>,
+) -> Result<Json<CurrentSimulator>, Problem> {
     Ok(Json(app.current_simulator().await?))
 }
 

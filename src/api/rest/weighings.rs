@@ -73,7 +73,11 @@ pub async fn get_weighing(
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The ticks in order", body = Vec<Tick>),
         (status = 410, description = "Their file is missing or damaged", body = Problem, content_type = "application/problem+json")))]
-pub async fn get_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Json<Vec<Tick>>, Problem> {
+pub async fn get_trace(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<Vec<Tick>>, Problem> {
     Ok(Json(app.trace(&id).await?))
 }
 
@@ -82,7 +86,11 @@ pub async fn get_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "One line per tick", body = String, content_type = "text/csv"),
         (status = 410, description = "Their file is missing or damaged", body = Problem, content_type = "application/problem+json")))]
-pub async fn download_trace(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn download_trace(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
     let ticks = app.trace(&id).await?;
     let headers = [
         (header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
@@ -109,7 +117,11 @@ fn csv(ticks: &[Tick]) -> String {
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),
         (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json")))]
-pub async fn get_certificate(_: Viewer, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn get_certificate(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
     let page = app.certificate(&id).await?;
     Ok(([(header::CONTENT_SECURITY_POLICY, certificate::POLICY)], Html(page)).into_response())
 }
@@ -143,7 +155,11 @@ pub async fn vial_ready(
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 202, description = "The weighing, stopping or stopped", body = Weighing),
         (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
-pub async fn stop_weighing(_: Operator, State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn stop_weighing(
+    _: Operator,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
     let weighing = app.stop_weighing(&id).await?;
     Ok(accepted(format!("/v1/weighings/{}", weighing.id), weighing))
 }
@@ -156,7 +172,13 @@ mod tests {
     #[test]
     fn the_csv_of_a_trace_holds_the_digits_of_its_json() {
         let action = Action { incline_change_deg: -0.1, shake_mm: 8.0 };
-        let tick = Tick { step: 1, t_s: 0.3, pitch_deg: 20.5, action, reading: Reading { mass_mg: 4.0, stable: true } };
+        let tick = Tick {
+            step: 1,
+            t_s: 0.3,
+            pitch_deg: 20.5,
+            action,
+            reading: Reading { mass_mg: 4.0, stable: true },
+        };
         assert_eq!(csv(&[tick]).lines().nth(1), Some("1,0.3,20.5,-0.1,8,4,true"));
     }
 }

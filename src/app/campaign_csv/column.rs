@@ -81,7 +81,10 @@ pub(super) fn read(name: &str, cells: &[Cell<'_>], rows: &[usize]) -> Refused<Co
         ));
     }
     let is_text = |cell: &&Cell<'_>| matches!(cell.told, Told::Text(text) if !is_no_number(text));
-    let numbers = cells.iter().filter(|cell| matches!(cell.told, Told::Number(..) | Told::TwoNumbers(_))).count();
+    let numbers = cells
+        .iter()
+        .filter(|cell| matches!(cell.told, Told::Number(..) | Told::TwoNumbers(_)))
+        .count();
     let texts = cells.iter().filter(is_text).count();
     if NAMES.contains(&name) || (texts > 0 && 2 * numbers <= filled) {
         return Ok(names::read(name, cells, filled));
@@ -98,11 +101,14 @@ struct Numbers<'a> {
 
 impl Numbers<'_> {
     fn read(&self) -> Refused<Column> {
-        let unit = unit_of(self.name).or_else(|| self.cells.iter().find_map(|cell| self.unit(cell)));
+        let unit =
+            unit_of(self.name).or_else(|| self.cells.iter().find_map(|cell| self.unit(cell)));
         let (mut values, mut refusals) = (Vec::new(), Vec::new());
         for (cell, row) in self.cells.iter().zip(self.rows) {
             match self.value(cell, unit) {
-                Ok(_) if self.is_mark(cell) => refusals.push(at(*row, self.name, marked(cell.text))),
+                Ok(_) if self.is_mark(cell) => {
+                    refusals.push(at(*row, self.name, marked(cell.text)))
+                }
                 Ok(value) => values.push(value),
                 Err(message) => refusals.push(at(*row, self.name, message)),
             }
@@ -113,10 +119,16 @@ impl Numbers<'_> {
         let mut notes: Vec<String> = self.limits().into_iter().collect();
         let has_unit = |k: usize| self.unit(&self.cells[k]).is_some();
         // Fractions by themselves are a valid scale, in a column not labelled as per cent.
-        let is_percent = |(k, value): (usize, &Option<f64>)| has_unit(k) || value.is_some_and(|value| value > 1.0);
-        let is_mixed = || humidity::is_meant(self.name) && values.iter().enumerate().any(is_percent);
+        let is_percent = |(k, value): (usize, &Option<f64>)| {
+            has_unit(k) || value.is_some_and(|value| value > 1.0)
+        };
+        let is_mixed =
+            || humidity::is_meant(self.name) && values.iter().enumerate().any(is_percent);
         if self.name == humidity::COLUMN || is_mixed() {
-            notes.extend(humidity::to_percent(self.name, &mut values, has_unit, |k| self.rows[k])?.map(str::to_owned));
+            notes.extend(
+                humidity::to_percent(self.name, &mut values, has_unit, |k| self.rows[k])?
+                    .map(str::to_owned),
+            );
         }
         ends::check(self.name, &values, has_unit, |k| self.rows[k])?;
         let filled = values.iter().flatten().count();
@@ -124,7 +136,10 @@ impl Numbers<'_> {
             return Ok(Column::nothing(0, "it holds limits and no number"));
         }
         if filled < values.len() {
-            notes.push("where it is missing, the mean of its session stands in, else that of all".to_owned());
+            notes.push(
+                "where it is missing, the mean of its session stands in, else that of all"
+                    .to_owned(),
+            );
         }
         Ok(Column { values: Some(Values::Numbers(values)), filled, note: notes.join("; ") })
     }
@@ -142,8 +157,12 @@ impl Numbers<'_> {
             Told::Number(_, Some(is)) if Some(is) != unit => {
                 Err(format!("is in {is}, and the column in {}", unit.unwrap_or("no unit")))
             }
-            Told::Number(value, _) if value.abs() <= NUMBER_MAX || self.is_known() => Ok(Some(value)),
-            Told::Number(..) => Err(format!("must be from -{NUMBER_MAX:e} to {NUMBER_MAX:e}, got `{}`", cell.text)),
+            Told::Number(value, _) if value.abs() <= NUMBER_MAX || self.is_known() => {
+                Ok(Some(value))
+            }
+            Told::Number(..) => {
+                Err(format!("must be from -{NUMBER_MAX:e} to {NUMBER_MAX:e}, got `{}`", cell.text))
+            }
             Told::TwoNumbers(text) => Err(two_numbers(text)),
             Told::Text(text) if is_no_number(text) => Ok(None),
             Told::Text(text) => Err(format!(
@@ -165,9 +184,11 @@ impl Numbers<'_> {
             _ => None,
         };
         let Some(mark) = number(cell) else { return false };
-        let others: Vec<f64> = self.cells.iter().filter(|it| it.text != cell.text).filter_map(number).collect();
+        let others: Vec<f64> =
+            self.cells.iter().filter(|it| it.text != cell.text).filter_map(number).collect();
         let times = self.cells.iter().filter(|it| it.text == cell.text).count();
-        let is_far = |other: &f64| if mark < 0.0 { *other >= 0.0 } else { other.abs() <= 0.1 * mark };
+        let is_far =
+            |other: &f64| if mark < 0.0 { *other >= 0.0 } else { other.abs() <= 0.1 * mark };
         let is_usual = mark < 0.0 || (digits.len() > 2 && times > 1);
         is_usual && !others.is_empty() && others.iter().all(is_far)
     }
@@ -179,7 +200,8 @@ impl Numbers<'_> {
     /// The note on limits.
     fn limits(&self) -> Option<String> {
         let is_limit = |(cell, _): &(&Cell<'_>, &usize)| matches!(cell.told, Told::Limit(_));
-        let rows: Vec<usize> = self.cells.iter().zip(self.rows).filter(is_limit).map(|(_, row)| *row).collect();
+        let rows: Vec<usize> =
+            self.cells.iter().zip(self.rows).filter(is_limit).map(|(_, row)| *row).collect();
         if rows.is_empty() {
             return None;
         }

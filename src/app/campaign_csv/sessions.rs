@@ -20,8 +20,7 @@ use std::collections::HashMap;
 use time::Date;
 
 /// Note on names.
-const NAMES: &str =
-    "names, in the order in which they first stand in the file: only days or numbers tell the order of time";
+const NAMES: &str = "names, in the order in which they first stand in the file: only days or numbers tell the order of time";
 /// Note on names that look like numbers.
 const LABELS: &str = "names such as 1.10, which is another session than 1.1 and comes after 1.9, in the order in which they first stand in the file";
 
@@ -53,7 +52,11 @@ fn read(cell: &Cell<'_>) -> Read {
 /// # Errors
 /// Cells that are not days in a column of days, or not numbers in a column of numbers; an ambiguous
 /// day if `order` is not known.
-pub(super) fn sessions(cells: &[Cell<'_>], rows: &[usize], order: Option<DateOrder>) -> Refused<Sessions> {
+pub(super) fn sessions(
+    cells: &[Cell<'_>],
+    rows: &[usize],
+    order: Option<DateOrder>,
+) -> Refused<Sessions> {
     let filled: Vec<usize> = (0..cells.len()).filter(|&k| cells[k].is_filled()).collect();
     let column = Column {
         rows: filled.iter().map(|&k| rows[k]).collect(),
@@ -115,12 +118,14 @@ impl Column<'_> {
                     _ => None,
                 }
                 .ok_or_else(|| {
-                    "counts no day, as most sessions of the file do: correct it, or leave it empty".to_owned()
+                    "counts no day, as most sessions of the file do: correct it, or leave it empty"
+                        .to_owned()
                 })
             });
             return self.of_days(&days?);
         }
-        let six: Option<Vec<Read>> = self.texts.iter().map(|text| six_digits(text).map(Read::Day)).collect();
+        let six: Option<Vec<Read>> =
+            self.texts.iter().map(|text| six_digits(text).map(Read::Day)).collect();
         if let Some(cells) = six {
             let written = Self { rows: self.rows.clone(), texts: self.texts.clone(), cells };
             return written.of_days(&written.days(order)?);
@@ -146,17 +151,25 @@ impl Column<'_> {
     fn numbers(&self) -> Refused<Vec<f64>> {
         self.each(|cell| match cell {
             Read::Number(number) => Ok(*number),
-            _ => Err("is no number, as most sessions of the file are: correct it, or leave it empty".to_owned()),
+            _ => {
+                Err("is no number, as most sessions of the file are: correct it, or leave it empty"
+                    .to_owned())
+            }
         })
     }
 
     /// Applies `of` to every cell; returns the results, or all its refusals.
-    fn each<T>(&self, mut of: impl FnMut(&Read) -> std::result::Result<T, String>) -> Refused<Vec<T>> {
+    fn each<T>(
+        &self,
+        mut of: impl FnMut(&Read) -> std::result::Result<T, String>,
+    ) -> Refused<Vec<T>> {
         let (mut all, mut refusals) = (Vec::new(), Vec::new());
         for ((cell, row), text) in self.cells.iter().zip(&self.rows).zip(&self.texts) {
             match of(cell) {
                 Ok(value) => all.push(value),
-                Err(message) => refusals.push(at(*row, "session", format!("{message}, got `{text}`"))),
+                Err(message) => {
+                    refusals.push(at(*row, "session", format!("{message}, got `{text}`")))
+                }
             }
         }
         if refusals.is_empty() { Ok(all) } else { Err(refusals) }
@@ -173,7 +186,8 @@ impl Column<'_> {
                 let first = order.map_or("nothing", DateOrder::first);
                 format!("is no day with {first} first, as the others are read")
             }),
-            _ => Err("is no day, as most sessions of the file are: correct it, or leave it empty".to_owned()),
+            _ => Err("is no day, as most sessions of the file are: correct it, or leave it empty"
+                .to_owned()),
         })
     }
 
@@ -181,7 +195,9 @@ impl Column<'_> {
     fn order(&self) -> Refused<Option<DateOrder>> {
         let cells = self.cells.iter().zip(&self.rows).zip(&self.texts);
         let written = cells.filter_map(|((cell, row), text)| match cell {
-            Read::Day(written @ Written::By(_)) if written.day(None).is_none() => Some((written, *row, *text)),
+            Read::Day(written @ Written::By(_)) if written.day(None).is_none() => {
+                Some((written, *row, *text))
+            }
             _ => None,
         });
         Dates(written.collect()).order()
@@ -230,10 +246,16 @@ fn of_names(names: &[&str], note: &str) -> (Vec<usize>, String) {
 }
 
 /// The rank of each value among the distinct values, and these in order.
-fn ranked<T: Copy>(values: &[T], compare: impl Fn(&T, &T) -> std::cmp::Ordering) -> (Vec<usize>, Vec<T>) {
+fn ranked<T: Copy>(
+    values: &[T],
+    compare: impl Fn(&T, &T) -> std::cmp::Ordering,
+) -> (Vec<usize>, Vec<T>) {
     let mut order = values.to_vec();
     order.sort_unstable_by(|a, b| compare(a, b));
     order.dedup_by(|a, b| compare(a, b).is_eq());
-    let places = values.iter().map(|value| order.partition_point(|other| compare(other, value).is_lt())).collect();
+    let places = values
+        .iter()
+        .map(|value| order.partition_point(|other| compare(other, value).is_lt()))
+        .collect();
     (places, order)
 }

@@ -23,9 +23,16 @@ pub(super) struct Summaries {
 impl Summaries {
     /// The columns of a table that identify summaries, before its rows are read.
     pub fn of(table: &Table) -> Self {
-        let is_number = |name: &str| name.is_empty() || NUMBERS.iter().any(|(column, ..)| *column == name);
-        let others = table.columns.iter().filter(|name| !is_number(name) && *name != "powder" && tells(table, name));
-        Self { columns: std::iter::once("powder".to_owned()).chain(others.cloned()).collect(), rows: Vec::new() }
+        let is_number =
+            |name: &str| name.is_empty() || NUMBERS.iter().any(|(column, ..)| *column == name);
+        let others = table
+            .columns
+            .iter()
+            .filter(|name| !is_number(name) && *name != "powder" && tells(table, name));
+        Self {
+            columns: std::iter::once("powder".to_owned()).chain(others.cloned()).collect(),
+            rows: Vec::new(),
+        }
     }
 
     /// Whether a row is a summary; if so it is remembered.
@@ -51,8 +58,10 @@ impl Summaries {
 
     /// In the form of the report.
     pub fn told(&self) -> Option<LeftOut> {
-        let reason = "they are called mean, SD, total or the like: computed of other rows, and no runs";
-        (!self.rows.is_empty()).then(|| LeftOut { rows: self.rows.clone(), reason: reason.to_owned() })
+        let reason =
+            "they are called mean, SD, total or the like: computed of other rows, and no runs";
+        (!self.rows.is_empty())
+            .then(|| LeftOut { rows: self.rows.clone(), reason: reason.to_owned() })
     }
 }
 

@@ -3,8 +3,8 @@
 use super::*;
 use flip_core::stats::summary::{mean, sd};
 use flip_discover::{LEVELS_MAX, Values};
-use proptest::prelude::*;
 
+mod forms;
 mod odd;
 
 const REQUIRED: [&str; 2] = ["powder", "repose_deg"];
@@ -31,7 +31,11 @@ fn refused(text: &str) -> Vec<String> {
 }
 
 fn column<'a>(campaign: &'a Campaign, name: &str) -> Option<&'a Values> {
-    campaign.covariates.iter().find(|covariate| covariate.name == name).map(|covariate| &covariate.values)
+    campaign
+        .covariates
+        .iter()
+        .find(|covariate| covariate.name == name)
+        .map(|covariate| &covariate.values)
 }
 
 fn levels(names: &[&str], of: &[Option<usize>]) -> Values {
@@ -60,8 +64,12 @@ fn a_row_is_a_run_with_what_was_recorded_beside_it() {
     let humidity = Values::Numbers(vec![Some(40.0), None, Some(60.5)]);
     assert_eq!(column(&campaign, "relative_humidity_pct").unwrap(), &humidity);
     // A batch is a name, and names are sorted as text.
-    assert_eq!(column(&campaign, "batch").unwrap(), &levels(&["12", "7"], &[Some(1), None, Some(0)]));
-    let names: Vec<&str> = campaign.covariates.iter().map(|covariate| covariate.name.as_str()).collect();
+    assert_eq!(
+        column(&campaign, "batch").unwrap(),
+        &levels(&["12", "7"], &[Some(1), None, Some(0)])
+    );
+    let names: Vec<&str> =
+        campaign.covariates.iter().map(|covariate| covariate.name.as_str()).collect();
     assert_eq!(names, ["method", "relative_humidity_pct", "batch"]);
 }
 
@@ -86,20 +94,28 @@ fn sessions_are_numbered_in_order_of_time() {
         (["2026-02-01", "2026-01-31", "2026-02-01", "2025-12-31"], [2, 1, 2, 0]),
         (["01.02.2026", "31.01.2026", "01.02.2026", "31.12.2025"], [2, 1, 2, 0]),
         // Runs of one day belong together, whatever the hour.
-        (["2026-02-01T09:30", "2026-01-31 08:00", "2026-02-01 14:00:00", "2025-12-31"], [2, 1, 2, 0]),
+        (
+            ["2026-02-01T09:30", "2026-01-31 08:00", "2026-02-01 14:00:00", "2025-12-31"],
+            [2, 1, 2, 0],
+        ),
         (["Tuesday", "Monday", "Tuesday", "Friday"], [0, 1, 0, 2]),
         (["2026-02-01 b", "2026-02-01 a", "2026-02-01 b", "2026-01-31"], [0, 1, 0, 2]),
         (["", "7", "", "3"], [2, 1, 3, 0]),
         (["", "", "", ""], [0, 1, 2, 3]),
     ] {
-        assert_eq!(campaign_of(&with_column("session", &cells)).session_of(), sessions, "{cells:?}");
+        assert_eq!(
+            campaign_of(&with_column("session", &cells)).session_of(),
+            sessions,
+            "{cells:?}"
+        );
     }
     assert_eq!(campaign_of("powder,repose_deg\nsalt,36\nsalt,37\n").session_of(), [0, 1]);
 }
 
 #[test]
 fn other_columns_are_numbers_or_names_and_those_that_say_nothing_are_left_out() {
-    let read = |name: &str, cells: &[&str]| column(&campaign_of(&with_column(name, cells)), name).cloned();
+    let read =
+        |name: &str, cells: &[&str]| column(&campaign_of(&with_column(name, cells)), name).cloned();
     assert_eq!(
         read("pressure_hpa", &["1013", "", "-1e3"]),
         Some(Values::Numbers(vec![Some(1013.0), None, Some(-1e3)]))
@@ -113,7 +129,11 @@ fn other_columns_are_numbers_or_names_and_those_that_say_nothing_are_left_out() 
         Some(levels(&["1", "inf"], &[Some(0), Some(1), Some(0), Some(1)]))
     );
     let methods = levels(&["camera", "manual"], &[Some(0), Some(1), Some(0)]);
-    assert_eq!(read("method", &["automated", "manual", "camera"]), Some(methods), "an exported file");
+    assert_eq!(
+        read("method", &["automated", "manual", "camera"]),
+        Some(methods),
+        "an exported file"
+    );
     let switched = levels(&["no", "yes"], &[1, 0, 1, 0, 1, 0].map(Some));
     assert_eq!(read("ioniser_on", &["1", "0", "true", "FALSE", "Yes", "no"]), Some(switched));
     assert_eq!(read("plate", &["3", "1"]), Some(levels(&["1", "3"], &[Some(1), Some(0)])));
@@ -124,7 +144,10 @@ fn other_columns_are_numbers_or_names_and_those_that_say_nothing_are_left_out() 
     let batches: Vec<String> = (0..=LEVELS_MAX).map(|k| format!("b{k}")).collect();
     let batches: Vec<&str> = batches.iter().map(String::as_str).collect();
     let kept = read("batch", &batches);
-    assert!(matches!(kept, Some(Values::Levels { names, .. }) if names.len() == LEVELS_MAX + 1), "the report says why");
+    assert!(
+        matches!(kept, Some(Values::Levels { names, .. }) if names.len() == LEVELS_MAX + 1),
+        "the report says why"
+    );
     assert_eq!(read("lab", &batches.repeat(3)), None, "nothing acts through it");
 }
 
@@ -139,8 +162,13 @@ fn a_flow_time_is_measured_beside_the_angle_and_of_a_summary_counts_once() {
 
 #[test]
 fn an_angle_may_be_missing_where_it_is_to_be_predicted() {
-    let campaign = read("powder,relative_humidity_pct\nsalt,40\nsugar,50\n", &["powder"], None).unwrap().campaign;
-    assert_eq!(campaign.runs.iter().map(|run| (run.row, run.repose_deg)).collect::<Vec<_>>(), [(2, None), (3, None)]);
+    let campaign = read("powder,relative_humidity_pct\nsalt,40\nsugar,50\n", &["powder"], None)
+        .unwrap()
+        .campaign;
+    assert_eq!(
+        campaign.runs.iter().map(|run| (run.row, run.repose_deg)).collect::<Vec<_>>(),
+        [(2, None), (3, None)]
+    );
 }
 
 #[test]
@@ -152,11 +180,20 @@ fn wrong_cells_are_refused_by_row_and_column() {
         ("powder,repose_deg,batch,batch\nsalt,36,a,a\n", &["batch"]),
         ("powder,repose_deg\n", &["row[2]"]),
         ("powder,repose_deg\nsalt,36,40\n", &["row[2]"]),
-        ("powder,repose_deg\n,36\n?!,36\nsalt,\n", &["row[2].powder", "row[3].powder", "row[4].repose_deg"]),
+        (
+            "powder,repose_deg\n,36\n?!,36\nsalt,\n",
+            &["row[2].powder", "row[3].powder", "row[4].repose_deg"],
+        ),
         ("powder,repose_deg\nLactose 200M,36\nLactose-200M,36\n", &["row[3].powder"]),
         (
             "powder,repose_deg\nsalt,4.9\nsalt,85.1\nsalt,NaN\nsalt,<36\nsalt,steep\n",
-            &["row[2].repose_deg", "row[3].repose_deg", "row[4].repose_deg", "row[5].repose_deg", "row[6].repose_deg"],
+            &[
+                "row[2].repose_deg",
+                "row[3].repose_deg",
+                "row[4].repose_deg",
+                "row[5].repose_deg",
+                "row[6].repose_deg",
+            ],
         ),
         (&columns("salt,36,,5"), &["row[2].repose_sd_deg"]),
         (&columns("salt,36,2,"), &["row[2].repose_sd_deg"]),
@@ -170,7 +207,11 @@ fn wrong_cells_are_refused_by_row_and_column() {
         (&with_column("ioniser_on", &["perhaps"]), &["row[2].ioniser_on"]),
         (
             &with_column("relative_humidity_pct", &["40", "wet", "101", "-1"]),
-            &["row[3].relative_humidity_pct", "row[4].relative_humidity_pct", "row[5].relative_humidity_pct"],
+            &[
+                "row[3].relative_humidity_pct",
+                "row[4].relative_humidity_pct",
+                "row[5].relative_humidity_pct",
+            ],
         ),
         (&with_column("temperature_c", &["-51"]), &["row[2].temperature_c"]),
         (&with_column("rest_min", &["-1"]), &["row[2].rest_min"]),
@@ -178,7 +219,10 @@ fn wrong_cells_are_refused_by_row_and_column() {
         (&with_column("funnel_height_mm", &["0"]), &["row[2].funnel_height_mm"]),
         (&with_column("base_diameter_mm", &["0"]), &["row[2].base_diameter_mm"]),
         (&with_column("poured_mass_g", &["0"]), &["row[2].poured_mass_g"]),
-        (&with_column("flow_time_s", &["0", "fast"]), &["row[2].flow_time_s", "row[3].flow_time_s"]),
+        (
+            &with_column("flow_time_s", &["0", "fast"]),
+            &["row[2].flow_time_s", "row[3].flow_time_s"],
+        ),
         (&with_column("vibration_rms_m_s2", &["-0.1"]), &["row[2].vibration_rms_m_s2"]),
         (&with_column("order_in_session", &["first"]), &["row[2].order_in_session"]),
         (&with_column("relative_humidity_pct", &["41", "0.41"]), &["row[3].relative_humidity_pct"]),
@@ -202,7 +246,10 @@ fn a_file_has_bounds() {
     assert_eq!(refused(&long), [format!("row[{}]", RUNS_MAX + 2)]);
     let longer = format!("powder,repose_deg\n{}", "salt,36\n".repeat(20_001));
     assert_eq!(refused(&longer), ["row[20002]"]);
-    assert_eq!(refused("powder,repose_deg,repose_sd_deg,n\nsalt,36,1,1000\nsalt,36,1,1000\nsalt,36,1,2\n"), ["row[4]"]);
+    assert_eq!(
+        refused("powder,repose_deg,repose_sd_deg,n\nsalt,36,1,1000\nsalt,36,1,1000\nsalt,36,1,2\n"),
+        ["row[4]"]
+    );
     let wide: String = (0..COLUMNS_MAX).map(|k| format!(",c{k}")).collect();
     assert_eq!(refused(&format!("powder,repose_deg{wide}\n")), ["header"]);
 }
@@ -211,15 +258,23 @@ fn a_file_has_bounds() {
 const DAYS: [(u8, u8); 8] = [(3, 11), (2, 15), (2, 7), (3, 11), (12, 1), (2, 15), (1, 30), (2, 7)];
 
 fn days(written: impl Fn(u8, u8) -> String) -> String {
-    with_column("session", &DAYS.map(|(month, day)| written(month, day)).iter().map(String::as_str).collect::<Vec<_>>())
+    with_column(
+        "session",
+        &DAYS
+            .map(|(month, day)| written(month, day))
+            .iter()
+            .map(String::as_str)
+            .collect::<Vec<_>>(),
+    )
 }
 
 #[test]
 fn days_written_another_way_are_the_same_sessions_in_the_same_order() {
     let iso = read_of(&days(|month, day| format!("2026-{month:02}-{day:02}")));
     assert_eq!(iso.campaign.session_of(), [3, 2, 1, 3, 4, 2, 0, 1]);
-    let of =
-        |month: u8, day: u8| time::Date::from_calendar_date(2026, time::Month::try_from(month).unwrap(), day).unwrap();
+    let of = |month: u8, day: u8| {
+        time::Date::from_calendar_date(2026, time::Month::try_from(month).unwrap(), day).unwrap()
+    };
     let name = |month: u8| of(month, 1).month().to_string();
     let since_1970 = |month, day| i64::from(of(month, day).to_julian_day() - 2_440_588);
     let forms: [&dyn Fn(u8, u8) -> String; 12] = [
@@ -244,13 +299,29 @@ fn days_written_another_way_are_the_same_sessions_in_the_same_order() {
 
 #[test]
 fn one_typo_among_days_does_not_make_names_of_them() {
-    for typo in ["2026-02-30", "2026-13-02", "2026-03-1l", "Monday", "46056", "26-03-11", "3 Mar", "2026-03-11 25:00"] {
+    for typo in [
+        "2026-02-30",
+        "2026-13-02",
+        "2026-03-1l",
+        "Monday",
+        "46056",
+        "26-03-11",
+        "3 Mar",
+        "2026-03-11 25:00",
+    ] {
         let cells = ["2026-03-11", "2026-02-15", typo, "2026-02-07"];
         assert_eq!(refused(&with_column("session", &cells)), ["row[4].session"], "{typo}");
     }
-    assert_eq!(refused(&with_column("session", &["15/2/2026", "2/15/2026", "3/3/2026"])), ["row[3].session"]);
+    assert_eq!(
+        refused(&with_column("session", &["15/2/2026", "2/15/2026", "3/3/2026"])),
+        ["row[3].session"]
+    );
     let named = told("session", &["Tuesday", "Monday", "Tuesday", ""]);
-    assert!(named.note.starts_with("2 names, in the order in which they first stand"), "{}", named.note);
+    assert!(
+        named.note.starts_with("2 names, in the order in which they first stand"),
+        "{}",
+        named.note
+    );
     assert_eq!((named.taken_as, named.filled, named.missing), (TakenAs::Session, 3, 1));
 }
 
@@ -263,7 +334,11 @@ fn a_day_that_may_be_two_is_asked_for() {
     let (day_first, month_first) = (sessions(DateOrder::DayFirst), sessions(DateOrder::MonthFirst));
     assert_eq!(day_first.read.columns[2].note, "2 days, 2026-03-02 to 2026-03-04");
     assert_eq!(month_first.read.columns[2].note, "2 days, 2026-02-03 to 2026-04-03");
-    let wrong = read(&with_column("session", &["15/2/2026", "3/2/2026"]), &REQUIRED, Some(DateOrder::MonthFirst));
+    let wrong = read(
+        &with_column("session", &["15/2/2026", "3/2/2026"]),
+        &REQUIRED,
+        Some(DateOrder::MonthFirst),
+    );
     assert!(wrong.unwrap_err().to_string().contains("row[2].session"));
     // The same whichever comes first.
     assert_eq!(told("session", &["2/2/2026", "3/3/2026"]).note, "2 days, 2026-02-02 to 2026-03-03");
@@ -279,11 +354,19 @@ fn one_cell_without_a_number_does_not_make_names_of_a_column() {
         assert_eq!(numbers(&["47", missing, "46.5"]), [Some(47.0), None, Some(46.5)], "{missing}");
     }
     for number in ["47.1", "\"47,1\"", "47.1 %", "\"47,1 %\"", "4.71e1"] {
-        assert_eq!(numbers(&["47", number, "46.5"]), [Some(47.0), Some(47.1), Some(46.5)], "{number}");
+        assert_eq!(
+            numbers(&["47", number, "46.5"]),
+            [Some(47.0), Some(47.1), Some(46.5)],
+            "{number}"
+        );
     }
     let limits = told("gas", &["47", "<5", "", "46"]);
     assert_eq!((limits.taken_as, limits.filled, limits.missing), (TakenAs::Numbers, 2, 2));
-    assert!(limits.note.contains("limits such as <5 and count as missing: rows 3"), "{}", limits.note);
+    assert!(
+        limits.note.contains("limits such as <5 and count as missing: rows 3"),
+        "{}",
+        limits.note
+    );
 }
 
 #[test]
@@ -296,14 +379,25 @@ fn what_is_left_out_is_told_with_its_reason() {
     assert_eq!(left_out("remark", &["", ""]), "no cell of it is filled");
     assert_eq!(left_out("gas", &["<5", "<5"]), "it holds limits and no number");
     assert_eq!(left_out("lab", &["a", "a", "b", "b"]), "");
-    assert_eq!(told("lab", &["a", "a", "1", "1"]).note, "2 of its cells are numbers and count as names");
+    assert_eq!(
+        told("lab", &["a", "a", "1", "1"]).note,
+        "2 of its cells are numbers and count as names"
+    );
     let fractions = told("relative_humidity_pct", &["0.41", "0.5", "NA"]);
-    assert!(fractions.note.starts_with("written as fractions, taken as per cent"), "{}", fractions.note);
+    assert!(
+        fractions.note.starts_with("written as fractions, taken as per cent"),
+        "{}",
+        fractions.note
+    );
     let campaign = campaign_of(&with_column("relative_humidity_pct", &["0.25", "0.5"]));
-    assert_eq!(column(&campaign, "relative_humidity_pct"), Some(&Values::Numbers(vec![Some(25.0), Some(50.0)])));
+    assert_eq!(
+        column(&campaign, "relative_humidity_pct"),
+        Some(&Values::Numbers(vec![Some(25.0), Some(50.0)]))
+    );
     let named = read_of("powder,repose_deg\nLactose 200M,36\n3-Nitrotoluene,37\nlactose_200m,35\n");
     assert_eq!(named.campaign.powders, ["lactose_200m", "p_3_nitrotoluene"]);
-    let ids: Vec<(&str, &str)> = named.read.powders.iter().map(|it| (it.name.as_str(), it.id.as_str())).collect();
+    let ids: Vec<(&str, &str)> =
+        named.read.powders.iter().map(|it| (it.name.as_str(), it.id.as_str())).collect();
     assert_eq!(ids, [("Lactose 200M", "lactose_200m"), ("3-Nitrotoluene", "p_3_nitrotoluene")]);
 }
 
@@ -334,137 +428,34 @@ fn a_row_that_stands_twice_counts_once_and_is_named() {
     // Nothing identifies the runs, but ten pairs equal to a hundredth of a degree are too many.
     let lines = runs(2, false);
     let copied = read_of(&file(&[&lines[..], &lines[3..13]].concat()));
-    assert!((50..60).all(|row| copied.read.left_out[0].rows.contains(&row)), "{:?}", copied.read.left_out);
+    assert!(
+        (50..60).all(|row| copied.read.left_out[0].rows.contains(&row)),
+        "{:?}",
+        copied.read.left_out
+    );
     // The whole file twice, in whole degrees.
     let whole = runs(0, false);
     let twice = read_of(&file(&[&whole[..], &whole].concat()));
     assert_eq!(twice.campaign, read_of(&file(&whole)).campaign);
     assert_eq!(twice.read.left_out[0].rows, (50..98).collect::<Vec<u32>>());
     let predicted = "powder,rest_min\nsalt,5\nsalt,5\n";
-    assert_eq!(super::read(predicted, &["powder"], None).unwrap().campaign.runs.len(), 2, "a question twice");
+    assert_eq!(
+        super::read(predicted, &["powder"], None).unwrap().campaign.runs.len(),
+        2,
+        "a question twice"
+    );
 }
 
 #[test]
 fn angles_that_are_equal_because_they_are_coarse_all_count() {
     let coarse = read_of(&file(&runs(0, false)));
     assert_eq!((coarse.campaign.runs.len(), coarse.read.left_out.len()), (48, 0));
-    assert!(coarse.read.notes[0].contains("rows are like an earlier row in every cell"), "{:?}", coarse.read.notes);
+    assert!(
+        coarse.read.notes[0].contains("rows are like an earlier row in every cell"),
+        "{:?}",
+        coarse.read.notes
+    );
     // One pair out of 48 runs equal to a tenth of a degree is within chance.
     let tenths = [&runs(1, false)[..], &runs(1, false)[5..6]].concat();
     assert_eq!(read_of(&file(&tenths)).campaign.runs.len(), 49);
-}
-
-/// A format in which a laboratory may write a table.
-#[derive(Debug, Clone)]
-struct Form {
-    separator: char,
-    comma: bool,
-    date: usize,
-    header: usize,
-    missing: usize,
-    wrapping: usize,
-    order: Vec<usize>,
-}
-
-impl Form {
-    fn plain() -> Self {
-        Self { separator: ',', comma: false, date: 0, header: 0, missing: 0, wrapping: 0, order: (0..5).collect() }
-    }
-
-    fn number(&self, number: String) -> String {
-        match (self.comma, self.separator) {
-            (true, ',') => format!("\"{}\"", number.replace('.', ",")),
-            (true, _) => number.replace('.', ","),
-            (false, _) => number,
-        }
-    }
-
-    fn date(&self, month: u8, day: u8) -> String {
-        let short =
-            ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"][month as usize - 1];
-        match self.date {
-            0 => format!("2026-{month:02}-{day:02}"),
-            1 => format!("{day}.{month}.2026"),
-            2 => format!("{month}/{day}/2026"),
-            3 => format!("{day:02}-{short}-26"),
-            4 => format!("{day} {short} 2026 09:30"),
-            _ => format!("2026-{month:02}-{day:02}T14:00:00Z"),
-        }
-    }
-
-    fn name(&self, name: &str) -> String {
-        match self.header {
-            0 => name.to_owned(),
-            1 => name.to_uppercase(),
-            _ => format!(" {} ", name.replace('_', " ")),
-        }
-    }
-
-    /// Writes these rows as a table: powder, angle, day, humidity, operator.
-    fn write(&self, rows: &[(usize, i32, (u8, u8), Option<i32>, usize)]) -> String {
-        let missing = ["", "NA", "n.d.", "-", "#N/A"][self.missing];
-        let header =
-            ["powder", "repose_deg", "session", "relative_humidity_pct", "operator"].map(|name| self.name(name));
-        let cells = rows.iter().map(|(powder, angle, (month, day), humidity, operator)| {
-            let humidity = humidity.map(|it| self.number(format!("{:.1}", f64::from(it) / 10.0)));
-            [
-                ["salt", "sugar", "flour"][*powder].to_owned(),
-                self.number(format!("{:.2}", f64::from(*angle) / 100.0)),
-                self.date(*month, *day),
-                humidity.unwrap_or_else(|| missing.to_owned()),
-                ["Ada", "Ben", "Chloe"][*operator].to_owned(),
-            ]
-        });
-        let line = |cells: [String; 5]| {
-            let cells: Vec<&str> = self.order.iter().map(|&k| cells[k].as_str()).collect();
-            let end = if self.wrapping == 1 { self.separator.to_string().repeat(2) } else { String::new() };
-            cells.join(&self.separator.to_string()) + &end
-        };
-        let lines: Vec<String> = std::iter::once(header).chain(cells).map(line).collect();
-        match self.wrapping {
-            2 => format!("\u{feff}sep={}\r\n{}\r\n\u{1a}", self.separator, lines.join("\r\n")),
-            3 => format!("\u{feff}{}\r\n\r\n", lines.join("\r\n")),
-            4 => lines.join("\r"),
-            _ => lines.join("\n") + "\n",
-        }
-    }
-}
-
-fn forms() -> impl Strategy<Value = Form> {
-    let order = Just((0..5).collect::<Vec<usize>>()).prop_shuffle();
-    (
-        prop::sample::select(vec![',', ';', '\t', '|']),
-        any::<bool>(),
-        0..6_usize,
-        0..3_usize,
-        0..5_usize,
-        0..5_usize,
-        order,
-    )
-        .prop_map(|(separator, comma, date, header, missing, wrapping, order)| Form {
-            separator,
-            comma,
-            date,
-            header,
-            missing,
-            wrapping,
-            order,
-        })
-}
-
-proptest! {
-    #[test]
-    fn one_table_in_any_form_is_one_campaign(
-        rows in prop::collection::vec((0..3_usize, 2500..4500_i32, (1..=12_u8, 1..=28_u8), prop::option::of(300..700_i32), 0..3_usize), 1..30),
-        form in forms(),
-    ) {
-        let of = |form: &Form| {
-            let text = form.write(&rows);
-            let mut read = read(&text, &REQUIRED, Some(DateOrder::MonthFirst)).map_err(|error| format!("{error}: {text}"))?;
-            read.campaign.covariates.sort_by(|a, b| a.name.cmp(&b.name));
-            read.read.columns.sort_by(|a, b| a.column.cmp(&b.column));
-            Ok::<_, String>(read)
-        };
-        prop_assert_eq!(of(&form), of(&Form::plain()));
-    }
 }

@@ -42,7 +42,8 @@ pub(super) struct Twice {
 impl Twice {
     /// In the form of the report.
     pub fn told(&self) -> Vec<LeftOut> {
-        let reason = "every cell is that of an earlier row: what stands in the file twice is counted once";
+        let reason =
+            "every cell is that of an earlier row: what stands in the file twice is counted once";
         let left_out = || LeftOut { rows: self.rows.clone(), reason: reason.to_owned() };
         if self.rows.is_empty() { Vec::new() } else { vec![left_out()] }
     }
@@ -54,8 +55,11 @@ pub(super) fn leave_out(lines: &mut Vec<Line<'_>>) -> Twice {
     let doubled: Vec<&Vec<usize>> = groups.iter().filter(|group| group.len() > 1).collect();
     let times = times(&groups);
     let all = times == 1 && is_beyond_chance(lines, &doubled);
-    let counted = |group: &[usize]| if all || is_one_place(&lines[group[0]]) { 1 } else { group.len() / times };
-    let mut copies: Vec<usize> = doubled.iter().flat_map(|group| group[counted(group)..].to_vec()).collect();
+    let counted = |group: &[usize]| {
+        if all || is_one_place(&lines[group[0]]) { 1 } else { group.len() / times }
+    };
+    let mut copies: Vec<usize> =
+        doubled.iter().flat_map(|group| group[counted(group)..].to_vec()).collect();
     let others: usize = doubled.iter().map(|group| counted(group) - 1).sum();
     copies.sort_unstable();
     let twice = Twice {
@@ -82,7 +86,8 @@ fn divisor(a: usize, b: usize) -> usize {
 
 /// Lines grouped by equal keys, by index; groups and lines in the order of the file.
 fn alike<'a, K: Hash + Eq>(lines: &[Line<'a>], key: impl Fn(&Line<'a>) -> K) -> Vec<Vec<usize>> {
-    let (mut places, mut groups): (HashMap<K, usize>, Vec<Vec<usize>>) = (HashMap::new(), Vec::new());
+    let (mut places, mut groups): (HashMap<K, usize>, Vec<Vec<usize>>) =
+        (HashMap::new(), Vec::new());
     for (k, line) in lines.iter().enumerate() {
         let place = *places.entry(key(line)).or_insert(groups.len());
         match groups.get_mut(place) {
@@ -100,11 +105,13 @@ fn is_one_place(line: &Line<'_>) -> bool {
 
 /// Whether this many equal rows are more than chance explains.
 fn is_beyond_chance(lines: &[Line<'_>], doubled: &[&Vec<usize>]) -> bool {
-    let of_groups = |groups: &[Vec<usize>]| groups.iter().map(|group| pairs(group.len())).sum::<f64>();
+    let of_groups =
+        |groups: &[Vec<usize>]| groups.iter().map(|group| pairs(group.len())).sum::<f64>();
     let alike_beside = of_groups(&alike(lines, |line| line.beside.clone()));
     let alike_in_all: f64 = doubled.iter().map(|group| pairs(group.len())).sum();
     let of_powders = of_groups(&alike(lines, |line| line.powder.clone())) - alike_beside;
-    let equal = of_groups(&alike(lines, |line| (line.powder.clone(), line.angle_text))) - alike_in_all;
+    let equal =
+        of_groups(&alike(lines, |line| (line.powder.clone(), line.angle_text))) - alike_in_all;
     let share = if of_powders > 0.0 { equal / of_powders } else { 0.0 };
     let chance = (CLOSER * share.max(of_equal_angles(lines))).min(1.0);
     alike_in_all > 0.0 && poisson_tail(alike_in_all, chance * alike_beside) <= CHANCE_MAX
@@ -116,12 +123,15 @@ fn pairs(n: usize) -> f64 {
 
 /// Probability that two angles of a powder are equal as written, for a normal distribution.
 fn of_equal_angles(lines: &[Line<'_>]) -> f64 {
-    let decimals =
-        lines.iter().map(|line| line.angle_text.split_once(['.', ',']).map_or(0, |(_, part)| part.len())).max();
+    let decimals = lines
+        .iter()
+        .map(|line| line.angle_text.split_once(['.', ',']).map_or(0, |(_, part)| part.len()))
+        .max();
     let last_digit = 10f64.powi(-(decimals.unwrap_or(0).min(300) as i32));
     let (mut squares, mut free) = (0.0, 0.0);
     for group in alike(lines, |line| line.powder.clone()) {
-        let angles: Vec<f64> = group.iter().filter_map(|&k| Some(lines[k].angle?.repose_deg)).collect();
+        let angles: Vec<f64> =
+            group.iter().filter_map(|&k| Some(lines[k].angle?.repose_deg)).collect();
         let mean = angles.iter().sum::<f64>() / angles.len().max(1) as f64;
         squares += angles.iter().map(|angle| (angle - mean).powi(2)).sum::<f64>();
         free += angles.len() as f64 - 1.0;

@@ -52,7 +52,8 @@ impl Written {
     /// The only possible order, if any.
     pub fn order(&self) -> Option<DateOrder> {
         let Self::By(days) = self else { return None };
-        let mut possible = DateOrder::ALL.into_iter().filter(|order| days[*order as usize].is_some());
+        let mut possible =
+            DateOrder::ALL.into_iter().filter(|order| days[*order as usize].is_some());
         possible.next().filter(|_| possible.next().is_none())
     }
 
@@ -77,7 +78,10 @@ pub fn day(text: &str) -> Option<Written> {
     match parts.as_slice() {
         [a, b, c] => three(a, b, c, mark),
         // A named month, or the dots of 3.2., show that a date is meant.
-        [a, b] if month(a).is_some() && number(b, 2).is_some() || month(b).is_some() && number(a, 2).is_some() => {
+        [a, b]
+            if month(a).is_some() && number(b, 2).is_some()
+                || month(b).is_some() && number(a, 2).is_some() =>
+        {
             Some(Written::Unclear("has no year"))
         }
         [a, b] if date.ends_with('.') && number(a, 2).is_some() && number(b, 2).is_some() => {
@@ -105,8 +109,13 @@ fn three(a: &str, b: &str, c: &str, mark: char) -> Option<Written> {
         None => (None, None),
     };
     // `26/2/3` may be a day, `10-2-3` and `10.2.3` are names.
-    let year_first =
-        || date(year(a).filter(|_| a.len() == 2)?, second, short(c).filter(|_| mark == '/' || c.len() == 2)?);
+    let year_first = || {
+        date(
+            year(a).filter(|_| a.len() == 2)?,
+            second,
+            short(c).filter(|_| mark == '/' || c.len() == 2)?,
+        )
+    };
     let days = match mark {
         // With dots the month never comes first.
         '.' => [day_first, day_first, year_first()],
@@ -133,7 +142,8 @@ pub fn six_digits(text: &str) -> Option<Written> {
 
 /// Digits, at most `most` of them.
 fn number(text: &str, most: usize) -> Option<u16> {
-    let is_number = (1..=most).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_number =
+        (1..=most).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit());
     is_number.then(|| text.parse().ok()).flatten()
 }
 
@@ -144,12 +154,16 @@ fn full_year(text: &str) -> Option<u16> {
 /// A year in four digits, or in two: up to 69 in this century, as in POSIX.
 fn year(text: &str) -> Option<u16> {
     let short = || number(text, 2).filter(|_| text.len() == 2);
-    full_year(text).or_else(|| short().map(|year| if year < 70 { 2000 + year } else { 1900 + year }))
+    full_year(text)
+        .or_else(|| short().map(|year| if year < 70 { 2000 + year } else { 1900 + year }))
 }
 
 /// A day of the month, `3` or `3rd`.
 fn ordinal(text: &str) -> Option<u16> {
-    let text = ["st", "nd", "rd", "th"].iter().find_map(|ending| text.strip_suffix(ending)).unwrap_or(text);
+    let text = ["st", "nd", "rd", "th"]
+        .iter()
+        .find_map(|ending| text.strip_suffix(ending))
+        .unwrap_or(text);
     number(text, 2)
 }
 
@@ -170,7 +184,9 @@ fn month(text: &str) -> Option<u16> {
         &["december", "dezember", "décembre", "decembre"],
     ];
     let text = text.to_lowercase();
-    let names = |names: &&[&str]| text.chars().count() >= 3 && names.iter().any(|name| name.starts_with(&text));
+    let names = |names: &&[&str]| {
+        text.chars().count() >= 3 && names.iter().any(|name| name.starts_with(&text))
+    };
     let mut months = (1..).zip(&NAMES).filter(|(_, of)| names(of)).map(|(month, _)| month);
     // `jui` is June or July.
     months.next().filter(|_| months.next().is_none())
@@ -203,14 +219,17 @@ fn without_weekday(text: &str) -> &str {
     ];
     let end = text.find(|c: char| !c.is_alphabetic()).unwrap_or(text.len());
     let word = text[..end].to_lowercase();
-    let is_weekday = word.len() >= 2 && month(&word).is_none() && NAMES.iter().any(|name| name.starts_with(&word));
+    let is_weekday = word.len() >= 2
+        && month(&word).is_none()
+        && NAMES.iter().any(|name| name.starts_with(&word));
     if is_weekday { text[end..].trim_start_matches(['.', ',', ' ']) } else { text }
 }
 
 /// The time of day at the end of a text; empty if there is none.
 pub fn time_of(text: &str) -> &str {
     let Some(colon) = text.find(':') else { return "" };
-    text[text[..colon].trim_end_matches(|c: char| c.is_ascii_digit()).len()..].trim_start_matches('0')
+    text[text[..colon].trim_end_matches(|c: char| c.is_ascii_digit()).len()..]
+        .trim_start_matches('0')
 }
 
 /// The date in a text that may end in a time of day; `None` if the end is not a time.
@@ -223,7 +242,8 @@ fn without_time(text: &str) -> Option<&str> {
 
 /// `9:30`, `09:30:15.250`, `2:30 PM`, `09:30Z`, `09:30+01:00`.
 fn is_time(text: &str) -> bool {
-    let clock_end = text.find(|c: char| !c.is_ascii_digit() && c != ':' && c != '.').unwrap_or(text.len());
+    let clock_end =
+        text.find(|c: char| !c.is_ascii_digit() && c != ':' && c != '.').unwrap_or(text.len());
     let (clock, rest) = text.split_at(clock_end);
     let (clock, fraction) = clock.split_once('.').unwrap_or((clock, "0"));
     let parts: Vec<Option<u16>> = clock.split(':').map(|part| number(part, 2)).collect();
@@ -239,9 +259,11 @@ fn is_time(text: &str) -> bool {
 fn is_zone(text: &str) -> bool {
     let text = text.to_ascii_lowercase();
     let offset = text.strip_prefix("utc").unwrap_or(&text).strip_prefix(['+', '-']);
-    let is_offset =
-        |it: &str| (2..=5).contains(&it.len()) && it.bytes().all(|byte| byte.is_ascii_digit() || byte == b':');
-    ["", "z", "utc", "gmt", "am", "pm", "a.m.", "p.m."].contains(&text.as_str()) || offset.is_some_and(is_offset)
+    let is_offset = |it: &str| {
+        (2..=5).contains(&it.len()) && it.bytes().all(|byte| byte.is_ascii_digit() || byte == b':')
+    };
+    ["", "z", "utc", "gmt", "am", "pm", "a.m.", "p.m."].contains(&text.as_str())
+        || offset.is_some_and(is_offset)
 }
 
 /// Maximum duration of a campaign, days: mistaking the year for the day of the month would make it
@@ -268,8 +290,11 @@ impl Count {
     /// day of this century.
     pub fn of(numbers: &[f64]) -> Option<Self> {
         let are_days = |count: &Self| {
-            let mut days: Vec<i32> =
-                numbers.iter().filter_map(|number| count.day(*number)).map(Date::to_julian_day).collect();
+            let mut days: Vec<i32> = numbers
+                .iter()
+                .filter_map(|number| count.day(*number))
+                .map(Date::to_julian_day)
+                .collect();
             days.sort_unstable();
             let half = numbers.len().div_ceil(2);
             half > 0 && days.windows(half).any(|some| some[half - 1] - some[0] <= CAMPAIGN_MAX_D)
@@ -305,7 +330,8 @@ fn digits(number: f64) -> Option<Date> {
         12 | 14 => text.get(8..12)?,
         _ => return None,
     };
-    let is_time = time[..2].parse().is_ok_and(|hour: u8| hour < 24) && time[2..].parse().is_ok_and(|it: u8| it < 60);
+    let is_time = time[..2].parse().is_ok_and(|hour: u8| hour < 24)
+        && time[2..].parse().is_ok_and(|it: u8| it < 60);
     let part = |from: usize, to: usize| text.get(from..to)?.parse::<u16>().ok();
     date(part(0, 4)?, part(4, 6)?, part(6, 8)?).filter(|_| is_time)
 }
@@ -321,10 +347,12 @@ mod tests {
     fn numbers_spread_over_a_century_count_no_days_and_one_typo_among_days_changes_nothing() {
         // Fibonacci hashing: 32-bit values, all different, three in four of them seconds to a day
         // of this century.
-        let hashes: Vec<f64> = (0..60u64).map(|k| (k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as f64).collect();
+        let hashes: Vec<f64> =
+            (0..60u64).map(|k| (k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32) as f64).collect();
         assert!(hashes.iter().filter(|it| Count::Seconds.day(**it).is_some()).count() > 30);
         assert_eq!(Count::of(&hashes), None);
-        let mut days: Vec<f64> = (0..9).map(|k| 1_770_111_000.0 + 86_400.0 * f64::from(k)).collect();
+        let mut days: Vec<f64> =
+            (0..9).map(|k| 1_770_111_000.0 + 86_400.0 * f64::from(k)).collect();
         days.push(17_701_110.0);
         assert_eq!(Count::of(&days), Some(Count::Seconds));
         assert_eq!(Count::of(&[]), None);
@@ -373,7 +401,11 @@ mod tests {
         assert_eq!(day("15/2/2026 9:30").unwrap().order(), Some(DateOrder::DayFirst));
         assert_eq!(day("2-15-2026").unwrap().order(), Some(DateOrder::MonthFirst));
         assert_eq!(day("15/2/2026").unwrap().day(Some(DateOrder::MonthFirst)), None);
-        assert_eq!(day("2/2/2026").unwrap().day(None), Some(date!(2026 - 02 - 02)), "the same either way");
+        assert_eq!(
+            day("2/2/2026").unwrap().day(None),
+            Some(date!(2026 - 02 - 02)),
+            "the same either way"
+        );
         assert_eq!(day("3.2."), Some(Written::Unclear("has no year")));
         assert_eq!(day("3 Feb"), Some(Written::Unclear("has no year")));
     }
@@ -389,13 +421,20 @@ mod tests {
         }
         assert_eq!(day("26/2/3").unwrap().order(), Some(DateOrder::YearFirst));
         assert_eq!(day("45/12/30").unwrap().order(), Some(DateOrder::YearFirst));
-        assert_eq!(day("31.12.45"), Some(Written::Day(date!(2045 - 12 - 31))), "2031-12-45 is none");
+        assert_eq!(
+            day("31.12.45"),
+            Some(Written::Day(date!(2045 - 12 - 31))),
+            "2031-12-45 is none"
+        );
         assert_eq!(day("3.2.26"), Some(Written::Day(THIRD)), "a year has two digits");
         assert_eq!(day("15/2/26").unwrap().order(), None, "15 February 2026 or 26 February 2015");
         assert_eq!(day("26/02/2021").unwrap().order(), Some(DateOrder::DayFirst));
         assert_eq!([day("10-2-3"), day("10.2.3")], [None, None]);
         assert_eq!(six_digits("260221"), day("26/02/21"));
-        assert_eq!([six_digits("26022"), six_digits("269921"), six_digits("26é21")], [None, None, None]);
+        assert_eq!(
+            [six_digits("26022"), six_digits("269921"), six_digits("26é21")],
+            [None, None, None]
+        );
     }
 
     #[test]
@@ -429,7 +468,9 @@ mod tests {
 
     #[test]
     fn the_time_of_day_is_what_stands_behind_the_day() {
-        for (text, time) in [("2026-02-03", ""), ("2026-02-03T09:30Z", "9:30Z"), ("3.2.26 14:05", "14:05")] {
+        for (text, time) in
+            [("2026-02-03", ""), ("2026-02-03T09:30Z", "9:30Z"), ("3.2.26 14:05", "14:05")]
+        {
             assert_eq!(time_of(text), time, "{text}");
         }
     }
@@ -444,8 +485,18 @@ mod tests {
         assert_eq!(of(&[20_260_203.0]), Some(THIRD));
         assert_eq!(of(&[202_602_030_930.0]), Some(THIRD));
         assert_eq!(of(&[20_260_203_093_059.0]), Some(THIRD));
-        assert_eq!(Count::of(&[46_056.0, 46_057.0, 4_605.0]), Some(Count::Serial), "a digit is missing");
-        for numbers in [&[1.0, 2.0] as &[f64], &[46_056.0, 3.0, 4.0], &[20_261_503.0], &[202_602_032_530.0], &[]] {
+        assert_eq!(
+            Count::of(&[46_056.0, 46_057.0, 4_605.0]),
+            Some(Count::Serial),
+            "a digit is missing"
+        );
+        for numbers in [
+            &[1.0, 2.0] as &[f64],
+            &[46_056.0, 3.0, 4.0],
+            &[20_261_503.0],
+            &[202_602_032_530.0],
+            &[],
+        ] {
             assert_eq!(Count::of(numbers), None, "{numbers:?}");
         }
     }

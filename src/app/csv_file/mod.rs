@@ -88,9 +88,16 @@ impl Table {
     /// # Errors
     /// A file that is too large or has too many rows or none; a missing or repeated column, and
     /// errors added by `check`; a row whose length differs from the header's.
-    pub fn open(text: &str, columns: &Columns<'_>, check: impl FnOnce(&[String], &mut Check)) -> Result<Self> {
+    pub fn open(
+        text: &str,
+        columns: &Columns<'_>,
+        check: impl FnOnce(&[String], &mut Check),
+    ) -> Result<Self> {
         if text.len() > TABLE_BYTES_MAX {
-            let advice = format!("has {} bytes, and at most {TABLE_BYTES_MAX} are read: split it", text.len());
+            let advice = format!(
+                "has {} bytes, and at most {TABLE_BYTES_MAX} are read: split it",
+                text.len()
+            );
             return Err(FieldError::new("file", advice).into());
         }
         let bare = text::bare(text)?;
@@ -99,8 +106,10 @@ impl Table {
             (columns.known)(&name).is_some() || columns.meant_by(&name).is_some()
         };
         let separator = bare.separator.unwrap_or_else(|| separator::separator(bare.text, is_known));
-        let mut reader =
-            csv::ReaderBuilder::new().delimiter(separator).flexible(true).from_reader(bare.text.as_bytes());
+        let mut reader = csv::ReaderBuilder::new()
+            .delimiter(separator)
+            .flexible(true)
+            .from_reader(bare.text.as_bytes());
         let header = reader.headers().map_err(|error| unreadable(1, &error))?.clone();
         let names = names_of(&header, columns);
         let mut refusals = Check::default();
@@ -109,7 +118,14 @@ impl Table {
         refusals.done()?;
         let rows = rows(&mut reader, Place::new(bare.text, &header), &names)?;
         let holds = names.iter().map(|name| (columns.known)(name)).collect();
-        let mut table = Self { columns: names, holds, rows, separator, signs: Vec::new(), all_signs: Signs::default() };
+        let mut table = Self {
+            columns: names,
+            holds,
+            rows,
+            separator,
+            signs: Vec::new(),
+            all_signs: Signs::default(),
+        };
         table.signs = (0..table.columns.len()).map(|column| table.signs_of(column)).collect();
         table.all_signs = table.signs.iter().fold(Signs::default(), |all, signs| all.and(*signs));
         Ok(table)
@@ -127,12 +143,14 @@ impl Table {
     /// Non-blank rows.
     pub fn rows(&self) -> impl Iterator<Item = Cells<'_>> {
         self.rows.iter().map(|row| {
-            let filled = self.columns.iter().enumerate().zip(&row.cells).filter_map(|((k, name), cell)| {
-                let text = cell.trim();
-                let numbers = self.holds[k] == Some(Holds::Numbers);
-                let is_missing = words::is_missing(text) || (numbers && words::is_no_number(text));
-                (!is_missing).then_some((name.as_str(), (k, cell.as_str())))
-            });
+            let filled =
+                self.columns.iter().enumerate().zip(&row.cells).filter_map(|((k, name), cell)| {
+                    let text = cell.trim();
+                    let numbers = self.holds[k] == Some(Holds::Numbers);
+                    let is_missing =
+                        words::is_missing(text) || (numbers && words::is_no_number(text));
+                    (!is_missing).then_some((name.as_str(), (k, cell.as_str())))
+                });
             Cells { row: row.number, table: self, filled: filled.collect() }
         })
     }
@@ -155,7 +173,8 @@ impl Table {
 impl Columns<'_> {
     /// The known column meant by this name.
     fn meant_by(&self, name: &str) -> Option<&'static str> {
-        let letters: String = name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect();
+        let letters: String =
+            name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect();
         (self.meant)(&letters)
     }
 }
@@ -187,16 +206,24 @@ fn check_header(names: &[String], columns: &Columns<'_>, check: &mut Check) {
             check.refuse(name, "stands twice in the header");
         }
     }
-    for column in columns.required.iter().filter(|column| !names.iter().any(|name| name == *column)) {
+    for column in columns.required.iter().filter(|column| !names.iter().any(|name| name == *column))
+    {
         check.refuse(column, "is missing in the header");
     }
     let count = names.iter().filter(|name| !name.is_empty()).count();
     if count > columns.most {
-        check.refuse("header", format!("has {count} columns, and at most {} are read", columns.most));
+        check.refuse(
+            "header",
+            format!("has {count} columns, and at most {} are read", columns.most),
+        );
     }
 }
 
-fn rows(reader: &mut csv::Reader<&[u8]>, mut place: Place<'_>, names: &[String]) -> Result<Vec<Row>> {
+fn rows(
+    reader: &mut csv::Reader<&[u8]>,
+    mut place: Place<'_>,
+    names: &[String],
+) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for record in reader.records() {
         let record = record.map_err(|error| unreadable(place.row_at(error.position()), &error))?;
@@ -209,16 +236,26 @@ fn rows(reader: &mut csv::Reader<&[u8]>, mut place: Place<'_>, names: &[String])
             let advice = format!("is one too many: a file may hold {ROWS_MAX} rows; split it");
             return Err(FieldError::new(format!("row[{number}]"), advice).into());
         }
-        rows.push(Row { number, cells: record.iter().map(|cell| text::visible(cell).into_owned()).collect() });
+        rows.push(Row {
+            number,
+            cells: record.iter().map(|cell| text::visible(cell).into_owned()).collect(),
+        });
     }
     match rows.is_empty() {
-        true => Err(FieldError::new("row[2]", "is missing: the file has no row below its header").into()),
+        true => {
+            Err(FieldError::new("row[2]", "is missing: the file has no row below its header")
+                .into())
+        }
         false => Ok(rows),
     }
 }
 
 /// Checks that a row has a cell for each named column, and nothing in addition.
-fn check_length(row: usize, record: &csv::StringRecord, names: &[String]) -> std::result::Result<(), FieldError> {
+fn check_length(
+    row: usize,
+    record: &csv::StringRecord,
+    names: &[String],
+) -> std::result::Result<(), FieldError> {
     let refused = |message: String| Err(FieldError::new(format!("row[{row}]"), message));
     let named = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
     if record.len() < named {
@@ -287,10 +324,12 @@ impl<'a> Cells<'a> {
         let Some((k, cell)) = self.filled.get(column) else { return Told::Missing };
         let (text, table) = (cell.trim(), self.table);
         match number::cell(text) {
-            Cell::Number(written) => match written.value(table.signs[*k], table.all_signs, table.separator) {
-                Some(value) => Told::Number(value, written.unit),
-                None => Told::TwoNumbers(text),
-            },
+            Cell::Number(written) => {
+                match written.value(table.signs[*k], table.all_signs, table.separator) {
+                    Some(value) => Told::Number(value, written.unit),
+                    None => Told::TwoNumbers(text),
+                }
+            }
             Cell::Limit => Told::Limit(text),
             Cell::Other => Told::Text(text),
         }
@@ -305,14 +344,16 @@ impl<'a> Cells<'a> {
         match self.told(column) {
             Told::Missing => refused("is missing".to_owned()),
             Told::Number(value, unit) => match (unit, unit_of(column)) {
-                (Some(is), Some(wanted)) if is != wanted => refused(format!("is in {is}, and the column in {wanted}")),
+                (Some(is), Some(wanted)) if is != wanted => {
+                    refused(format!("is in {is}, and the column in {wanted}"))
+                }
                 (Some(is), None) => refused(format!("is in {is}, and the column counts")),
                 _ => Ok(value),
             },
             Told::TwoNumbers(text) => refused(two_numbers(text)),
-            Told::Limit(text) => {
-                refused(format!("is a limit, `{text}`, and no number: leave it empty, or leave the row out"))
-            }
+            Told::Limit(text) => refused(format!(
+                "is a limit, `{text}`, and no number: leave it empty, or leave the row out"
+            )),
             Told::Text(text) => refused(format!("must be a number, got `{text}`")),
         }
     }
@@ -336,13 +377,24 @@ impl<'a> Cells<'a> {
         }
         let number = self.number(column).ok();
         let whole = number.filter(|n| n.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(n));
-        let wrong = || at(self.row, column, format!("must be a whole number of {what}, got `{}`", self.text(column)));
+        let wrong = || {
+            at(
+                self.row,
+                column,
+                format!("must be a whole number of {what}, got `{}`", self.text(column)),
+            )
+        };
         whole.map(|n| Some(n as u32)).ok_or_else(wrong)
     }
 
     /// All cells except that of one column, without surrounding blanks.
     pub fn all_but(&self, column: &str) -> Vec<&'a str> {
-        self.table.columns.iter().filter(|name| *name != column).map(|name| self.text(name)).collect()
+        self.table
+            .columns
+            .iter()
+            .filter(|name| *name != column)
+            .map(|name| self.text(name))
+            .collect()
     }
 }
 

@@ -69,7 +69,8 @@ pub enum Cell {
 
 /// Reads a cell.
 pub fn cell(text: &str) -> Cell {
-    let limit = text.strip_prefix(['<', '>', '≤', '≥']).map(|rest| rest.trim_start_matches('=').trim());
+    let limit =
+        text.strip_prefix(['<', '>', '≤', '≥']).map(|rest| rest.trim_start_matches('=').trim());
     match (limit, written(limit.unwrap_or(text))) {
         (Some(_), Some(_)) => Cell::Limit,
         (None, Some(written)) => Cell::Number(written),
@@ -98,7 +99,8 @@ impl Written {
         };
         let signs = if column.is_silent() { file } else { column };
         let is_free = (mark == '.' || separator != b',') && !column.hundreds;
-        let is_decimal = signs.is_only(mark) || (signs.is_silent() && is_free) || (mark == '.' && signs.point);
+        let is_decimal =
+            signs.is_only(mark) || (signs.is_silent() && is_free) || (mark == '.' && signs.point);
         is_decimal.then_some(decimal)
     }
 }
@@ -119,7 +121,9 @@ fn written(text: &str) -> Option<Written> {
         name => Some(unit(name).filter(|_| is_apart || !is_letter(name))?),
     };
     let sign = if text.starts_with('-') { "-" } else { "" };
-    let number = |plain: &str| format!("{sign}{plain}{exponent}").parse().ok().filter(|it: &f64| it.is_finite());
+    let number = |plain: &str| {
+        format!("{sign}{plain}{exponent}").parse().ok().filter(|it: &f64| it.is_finite())
+    };
     Some(Written { value: value(digits.trim(), exponent.is_empty(), number)?, unit })
 }
 
@@ -130,8 +134,9 @@ fn is_letter(name: &str) -> bool {
 
 /// The exponent at the start of `rest`, and what follows it.
 fn exponent<'a>(digits: &str, rest: &'a str) -> (&'a str, &'a str) {
-    let Some(after) =
-        rest.strip_prefix(['e', 'E']).filter(|_| digits.ends_with(|c: char| c.is_ascii_digit() || ".,".contains(c)))
+    let Some(after) = rest
+        .strip_prefix(['e', 'E'])
+        .filter(|_| digits.ends_with(|c: char| c.is_ascii_digit() || ".,".contains(c)))
     else {
         return ("", rest);
     };
@@ -141,7 +146,8 @@ fn exponent<'a>(digits: &str, rest: &'a str) -> (&'a str, &'a str) {
 }
 
 fn value(digits: &str, is_plain: bool, number: impl Fn(&str) -> Option<f64>) -> Option<Value> {
-    let marks: Vec<(usize, char)> = digits.char_indices().filter(|(_, c)| !c.is_ascii_digit()).collect();
+    let marks: Vec<(usize, char)> =
+        digits.char_indices().filter(|(_, c)| !c.is_ascii_digit()).collect();
     let is_decimal = |mark: char| ".,".contains(mark);
     match marks.as_slice() {
         [] => {
@@ -151,7 +157,10 @@ fn value(digits: &str, is_plain: bool, number: impl Fn(&str) -> Option<f64>) -> 
         [(at, mark)] if is_decimal(*mark) => {
             let (whole, part) = (&digits[..*at], &digits[at + 1..]);
             let decimal = number(&format!("{whole}.{part}"))?;
-            let may_group = is_plain && part.len() == 3 && (1..=3).contains(&whole.len()) && !whole.starts_with('0');
+            let may_group = is_plain
+                && part.len() == 3
+                && (1..=3).contains(&whole.len())
+                && !whole.starts_with('0');
             Some(match may_group {
                 true => Value::Either { mark: *mark, decimal },
                 false => Value::Sure(decimal, Signs::of(*mark)),
@@ -161,7 +170,8 @@ fn value(digits: &str, is_plain: bool, number: impl Fn(&str) -> Option<f64>) -> 
             // The last mark separates decimals if it differs from all the others.
             let others = &marks[..marks.len() - 1];
             let is_own = is_decimal(*last) && others.iter().all(|(_, mark)| mark != last);
-            let (whole, part) = if is_own { (&digits[..*at], &digits[at + 1..]) } else { (digits, "") };
+            let (whole, part) =
+                if is_own { (&digits[..*at], &digits[at + 1..]) } else { (digits, "") };
             let plain = number(&format!("{}.{part}", ungrouped(whole)?))?;
             let shown = match (is_own, *last) {
                 (true, mark) => Signs::of(mark),
@@ -179,8 +189,10 @@ fn value(digits: &str, is_plain: bool, number: impl Fn(&str) -> Option<f64>) -> 
 fn ungrouped(digits: &str) -> Option<String> {
     let mark = digits.chars().find(|c| !c.is_ascii_digit())?;
     let groups: Vec<&str> = digits.split(mark).collect();
-    let is_group = |group: &&str| group.len() == 3 && group.bytes().all(|byte| byte.is_ascii_digit());
-    let first = groups.first().filter(|first| (1..=3).contains(&first.len()) && !first.starts_with('0'))?;
+    let is_group =
+        |group: &&str| group.len() == 3 && group.bytes().all(|byte| byte.is_ascii_digit());
+    let first =
+        groups.first().filter(|first| (1..=3).contains(&first.len()) && !first.starts_with('0'))?;
     let are_digits = first.bytes().all(|byte| byte.is_ascii_digit());
     (are_digits && groups[1..].iter().all(is_group)).then(|| groups.concat())
 }
@@ -290,14 +302,23 @@ mod tests {
     fn a_comma_before_three_digits_is_what_the_column_says_else_what_the_file_says() {
         assert_eq!(value("36,125", COMMA, POINT), Some(36.125));
         assert_eq!(value("36,125", NONE, COMMA), Some(36.125));
-        for (column, file) in [(NONE, NONE), (POINT, COMMA), (BOTH, COMMA), (NONE, POINT), (NONE, BOTH)] {
+        for (column, file) in
+            [(NONE, NONE), (POINT, COMMA), (BOTH, COMMA), (NONE, POINT), (NONE, BOTH)]
+        {
             assert_eq!(value("36,125", column, file), None, "{column:?} {file:?}");
         }
         let Cell::Number(written) = cell("36,125") else { panic!() };
-        assert_eq!(written.value(NONE, NONE, b';'), Some(36.125), "commas are free where semicolons separate");
-        for (column, file, expected) in
-            [(NONE, NONE, Some(36.125)), (POINT, COMMA, Some(36.125)), (NONE, COMMA, None), (COMMA, POINT, None)]
-        {
+        assert_eq!(
+            written.value(NONE, NONE, b';'),
+            Some(36.125),
+            "commas are free where semicolons separate"
+        );
+        for (column, file, expected) in [
+            (NONE, NONE, Some(36.125)),
+            (POINT, COMMA, Some(36.125)),
+            (NONE, COMMA, None),
+            (COMMA, POINT, None),
+        ] {
             assert_eq!(value("36.125", column, file), expected, "{column:?} {file:?}");
         }
     }

@@ -27,9 +27,13 @@ impl<'a> Place<'a> {
 
     /// Row of the record found by the reader from `position` on: blank lines before it are skipped.
     pub fn row_at(&mut self, position: Option<&csv::Position>) -> usize {
-        let start = position.map_or(self.seen, |position| position.byte() as usize).clamp(self.seen, self.text.len());
-        let blank = self.text[start..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count();
-        self.lines += self.text[self.seen..start + blank].iter().filter(|byte| **byte == b'\n').count();
+        let start = position
+            .map_or(self.seen, |position| position.byte() as usize)
+            .clamp(self.seen, self.text.len());
+        let blank =
+            self.text[start..].iter().take_while(|byte| matches!(byte, b'\r' | b'\n')).count();
+        self.lines +=
+            self.text[self.seen..start + blank].iter().filter(|byte| **byte == b'\n').count();
         self.seen = start + blank;
         // A file that predates line feeds has none to count.
         self.row = (self.row + 1).max((1 + self.lines).saturating_sub(self.inside));

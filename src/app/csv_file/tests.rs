@@ -27,7 +27,9 @@ fn refused(text: &str) -> String {
 #[test]
 fn rows_are_counted_as_a_spreadsheet_counts_them() {
     let rows = |text: &str| {
-        open(text).map(|table| table.rows().map(|cells| (cells.row, cells.text("a").to_owned())).collect::<Vec<_>>())
+        open(text).map(|table| {
+            table.rows().map(|cells| (cells.row, cells.text("a").to_owned())).collect::<Vec<_>>()
+        })
     };
     for (text, expected) in [
         ("a\nx\ny\n", [(2, "x"), (3, "y")]),
@@ -46,11 +48,17 @@ fn rows_are_counted_as_a_spreadsheet_counts_them() {
 fn empty_columns_at_the_end_are_none_and_a_row_of_another_length_is_refused() {
     for text in ["a,b,,\nx,1,,\n", "a,b,,\nx,1\n", "a,b\nx,1,,\n", "a,b,,,,,,,\nx,1\n"] {
         let table = open(text).unwrap_or_else(|error| panic!("{text:?}: {error}"));
-        assert_eq!(table.rows().map(|cells| cells.text("b").to_owned()).collect::<Vec<_>>(), ["1"], "{text:?}");
+        assert_eq!(
+            table.rows().map(|cells| cells.text("b").to_owned()).collect::<Vec<_>>(),
+            ["1"],
+            "{text:?}"
+        );
     }
     assert!(refused("a,b\n\n1,2\n\n1\n").contains("row[5]: has 1 cells where the header has 2"));
     assert!(refused("a,b\n1,2,3\n").contains("row[2]: has 3 cells where the header has 2"));
-    assert!(refused("a,,b\n1,stray,2\n").contains("row[2]: holds `stray` in a column without a name"));
+    assert!(
+        refused("a,,b\n1,stray,2\n").contains("row[2]: holds `stray` in a column without a name")
+    );
 }
 
 #[test]
@@ -69,7 +77,9 @@ fn known_columns_are_found_whatever_the_case_of_their_names() {
 
 #[test]
 fn a_number_is_in_the_unit_of_its_column() {
-    let number = |cell: &str| open(&format!("a\tx_mm\nx\t{cell}\n")).unwrap().rows().next().unwrap().number("x_mm");
+    let number = |cell: &str| {
+        open(&format!("a\tx_mm\nx\t{cell}\n")).unwrap().rows().next().unwrap().number("x_mm")
+    };
     assert_eq!((number("1.5"), number("1,5 mm"), number("1,125")), (Ok(1.5), Ok(1.5), Ok(1.125)));
     for (cell, message) in [
         ("1.5 cm", "is in cm, and the column in mm"),
@@ -88,7 +98,11 @@ fn a_number_is_in_the_unit_of_its_column() {
 #[test]
 fn a_file_has_as_many_bytes_and_rows_as_are_read() {
     assert!(open(&format!("a\n{}", "x\n".repeat(20_000))).is_ok());
-    assert!(refused(&format!("a\n{}", "x\n".repeat(20_001))).contains("row[20002]: is one too many"));
-    assert!(refused(&format!("a\n{}", "x".repeat(TABLE_BYTES_MAX))).contains("file: has 8388610 bytes"));
+    assert!(
+        refused(&format!("a\n{}", "x\n".repeat(20_001))).contains("row[20002]: is one too many")
+    );
+    assert!(
+        refused(&format!("a\n{}", "x".repeat(TABLE_BYTES_MAX))).contains("file: has 8388610 bytes")
+    );
     assert!(refused("a\n").contains("row[2]: is missing"));
 }

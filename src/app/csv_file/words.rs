@@ -5,8 +5,9 @@ use flip_core::domain::powder::Method;
 
 /// Words for a missing value, as written by R, pandas, spreadsheets and people.
 const MISSING: [&str; 28] = [
-    "NA", "N/A", "n/a", "n.a.", "N.A.", "<NA>", "#N/A", "#N/A N/A", "#NA", "#NV", "NaN", "nan", "NAN", "-NaN", "-nan",
-    "NULL", "null", "-", "--", "---", "–", "—", "n.d.", "n. d.", "N.D.", "k.A.", "k. A.", "?",
+    "NA", "N/A", "n/a", "n.a.", "N.A.", "<NA>", "#N/A", "#N/A N/A", "#NA", "#NV", "NaN", "nan",
+    "NAN", "-NaN", "-nan", "NULL", "null", "-", "--", "---", "–", "—", "n.d.", "n. d.", "N.D.",
+    "k.A.", "k. A.", "?",
 ];
 /// The same where only numbers belong: in a column of names they may be names.
 const NO_NUMBER: [&str; 9] = ["none", "nil", "na", "nd", "n.v.", "missing", ".", "..", "*"];
@@ -19,7 +20,9 @@ pub fn is_missing(cell: &str) -> bool {
 /// Whether it is a spreadsheet error: `#DIV/0!`, `#VALUE!`, `#NAME?`, in every language.
 fn is_error(cell: &str) -> bool {
     let name = cell.strip_prefix('#').and_then(|rest| rest.strip_suffix(['!', '?']));
-    name.is_some_and(|name| name.len() >= 3 && name.chars().all(|c| c.is_uppercase() || "/0".contains(c)))
+    name.is_some_and(|name| {
+        name.len() >= 3 && name.chars().all(|c| c.is_uppercase() || "/0".contains(c))
+    })
 }
 
 /// Words that rarely mean anything but a value computed from other rows.
@@ -98,7 +101,9 @@ pub fn is_summary(cell: &str) -> bool {
         "moyenne",
     ];
     let text = plain(cell);
-    let mut words = text.split(|c: char| c.is_whitespace() || "()_,-".contains(c)).filter(|word| !word.is_empty());
+    let mut words = text
+        .split(|c: char| c.is_whitespace() || "()_,-".contains(c))
+        .filter(|word| !word.is_empty());
     let (first, last) = (words.next().unwrap_or_default(), words.next_back());
     SURELY.contains(&text.as_str())
         || WORDS.contains(&text.as_str())

@@ -32,10 +32,11 @@ fn repeats_of_one_powder_method_and_source_become_one_measurement() {
 
 #[test]
 fn heights_and_angles_are_repeats_of_the_same_measurement() {
-    let text =
-        "powder,repose_deg,height_mm,base_diameter_mm,funnel_height_mm\nsalt,45,,,\nsalt,,20,40,\nsalt,,50,100,60\n";
+    let text = "powder,repose_deg,height_mm,base_diameter_mm,funnel_height_mm\nsalt,45,,,\nsalt,,20,40,\nsalt,,50,100,60\n";
     let Value::Angle(_, measured) = entries(text)[0].value else { panic!() };
-    assert!((measured.repose_deg - 45.0).abs() < 1e-12 && measured.sd_deg < 1e-12 && measured.n == 3);
+    assert!(
+        (measured.repose_deg - 45.0).abs() < 1e-12 && measured.sd_deg < 1e-12 && measured.n == 3
+    );
 }
 
 #[test]
@@ -72,11 +73,17 @@ fn wrong_cells_are_refused_by_row_and_column() {
         ("powder,repose_deg,repose_sd_deg\nsalt,30,1\n", &["row[2].repose_sd_deg"]),
         ("powder,repose_deg,n\nsalt,30,5\n", &["row[2].repose_sd_deg"]),
         ("powder,repose_deg,repose_sd_deg,n\nsalt,30,-1,5\n", &["row[2].repose_sd_deg"]),
-        ("powder,repose_deg,repose_sd_deg,n\nsalt,30,1,0\nsalt,30,1,2.5\n", &["row[2].n", "row[3].n"]),
+        (
+            "powder,repose_deg,repose_sd_deg,n\nsalt,30,1,0\nsalt,30,1,2.5\n",
+            &["row[2].n", "row[3].n"],
+        ),
         ("powder,repose_deg,height_mm,base_diameter_mm\nsalt,45,20,40\n", &["row[2].height_mm"]),
         ("powder,height_mm\nsalt,20\n", &["row[2].base_diameter_mm"]),
         ("powder,height_mm,base_diameter_mm,n\nsalt,20,40,5\n", &["row[2].n"]),
-        ("powder,height_mm,base_diameter_mm,funnel_height_mm\nsalt,20,40,19\n", &["row[2].height_mm"]),
+        (
+            "powder,height_mm,base_diameter_mm,funnel_height_mm\nsalt,20,40,19\n",
+            &["row[2].height_mm"],
+        ),
         ("powder,height_mm,base_diameter_mm\nsalt,20,0\n", &["row[2].base_diameter_mm"]),
         ("powder,repose_deg,orifice_mm\nsalt,30,2.5\n", &["row[2].orifice_mm"]),
         ("powder,flow_time_s,poured_mass_g,orifice_mm\nsalt,10,50,9\n", &["row[2].orifice_mm"]),
@@ -107,8 +114,10 @@ fn what_is_written_is_read_to_the_last_bit() {
         source: source.into(),
         created_at,
     };
-    let measurements =
-        [measurement(Method::Automated, 100.0 / 3.0, "a, \"quoted\" source"), measurement(Method::Manual, 5.0, "")];
+    let measurements = [
+        measurement(Method::Automated, 100.0 / 3.0, "a, \"quoted\" source"),
+        measurement(Method::Manual, 5.0, ""),
+    ];
     let observables = [
         Observable::FlowTime { mass_g: 50.0, orifice_mm: 2.54 },
         Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 4.1 },
@@ -139,7 +148,9 @@ fn what_is_written_is_read_to_the_last_bit() {
 
 #[test]
 fn files_of_a_spreadsheet_in_another_country_read_as_one_of_ours() {
-    let ours = entries("powder,method,repose_deg,repose_sd_deg,n,source\nsalt,manual,36.2,0.8,5,Prüfstand A\n");
+    let ours = entries(
+        "powder,method,repose_deg,repose_sd_deg,n,source\nsalt,manual,36.2,0.8,5,Prüfstand A\n",
+    );
     for text in [
         "powder;method;repose_deg;repose_sd_deg;n;source\r\nsalt;manual;36,2;0,8;5;Prüfstand A\r\n",
         "sep=;\r\npowder;method;repose_deg;repose_sd_deg;n;source\r\nsalt;manual;36.2;0.8;5;Prüfstand A\r\n",
@@ -150,7 +161,10 @@ fn files_of_a_spreadsheet_in_another_country_read_as_one_of_ours() {
         assert_eq!(entries(text), ours, "{text:?}");
     }
     let camera = entries("powder,method,repose_deg\nsalt,camera,36\nsalt,Automated,36\nsalt,,36\n");
-    assert!(matches!(camera[..], [Entry { value: Value::Angle(Method::Automated, Flowability { n: 3, .. }), .. }]));
+    assert!(matches!(
+        camera[..],
+        [Entry { value: Value::Angle(Method::Automated, Flowability { n: 3, .. }), .. }]
+    ));
 }
 
 #[test]
@@ -171,16 +185,26 @@ fn a_shake_that_let_nothing_fall_may_read_less_than_nothing() {
         let rows = cells.map(|cell| format!("salt,{cell},20,4\n")).concat();
         format!("powder,shake_mg,spoon_pitch_deg,shake_mm\n{rows}")
     };
-    let Value::Observed(observed) = entries(&shakes(["-0.1", "0.3", "0.1"]))[0].value else { panic!() };
+    let Value::Observed(observed) = entries(&shakes(["-0.1", "0.3", "0.1"]))[0].value else {
+        panic!()
+    };
     assert!((observed.mean - 0.1).abs() < 1e-12 && observed.n == 3);
-    assert_eq!(refused(&shakes(["-0.3", "0.1", "0.1"])), ["row[2].shake_mg"], "on average it did not rise");
+    assert_eq!(
+        refused(&shakes(["-0.3", "0.1", "0.1"])),
+        ["row[2].shake_mg"],
+        "on average it did not rise"
+    );
     assert_eq!(refused(&shakes(["-60", "30", "40"])), ["row[2].shake_mg"]);
 }
 
 #[test]
 fn a_powder_may_be_written_by_its_name() {
-    let (entries, names) = read("powder,repose_deg\nLactose 200M,40\nlactose_200m,42\n3-Nitrotoluene,38\n").unwrap();
+    let (entries, names) =
+        read("powder,repose_deg\nLactose 200M,40\nlactose_200m,42\n3-Nitrotoluene,38\n").unwrap();
     let found: Vec<(&str, Option<&str>)> =
         entries.iter().map(|entry| (entry.powder.as_str(), names.name_of(&entry.powder))).collect();
-    assert_eq!(found, [("lactose_200m", Some("Lactose 200M")), ("p_3_nitrotoluene", Some("3-Nitrotoluene"))]);
+    assert_eq!(
+        found,
+        [("lactose_200m", Some("Lactose 200M")), ("p_3_nitrotoluene", Some("3-Nitrotoluene"))]
+    );
 }

@@ -36,7 +36,8 @@ impl Scale {
         if low > high {
             (low, high) = (0.0, 1.0);
         }
-        let room = if high - low > 1e-9 * low.abs().max(high.abs()) { 0.04 * (high - low) } else { 0.5 };
+        let room =
+            if high - low > 1e-9 * low.abs().max(high.abs()) { 0.04 * (high - low) } else { 0.5 };
         Self { low: low - room, high: high + room, from, to }
     }
 
@@ -49,8 +50,11 @@ impl Scale {
     pub fn ticks(&self, count: f64) -> Vec<(f64, String)> {
         let rough = (self.high - self.low) / count;
         let power = 10f64.powf(rough.log10().floor());
-        let step =
-            [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|step| *step >= 0.7 * rough).unwrap_or(rough);
+        let step = [1.0, 2.0, 5.0, 10.0]
+            .map(|m| m * power)
+            .into_iter()
+            .find(|step| *step >= 0.7 * rough)
+            .unwrap_or(rough);
         let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
         let first = (self.low / step).ceil() as i64;
         let last = (self.high / step).floor() as i64;
@@ -89,7 +93,8 @@ pub fn legend(powders: &[&str], more: &[(&str, &str)]) -> String {
             "<li><svg width=\"22\" height=\"12\" viewBox=\"0 0 22 12\" aria-hidden=\"true\">{drawing}</svg>{name}</li>"
         )
     };
-    let of_powder = |(k, name): (usize, &&str)| swatch(&mark(k, 11.0, 6.0), &text(&super::words::words(name)));
+    let of_powder =
+        |(k, name): (usize, &&str)| swatch(&mark(k, 11.0, 6.0), &text(&super::words::words(name)));
     let marks: String = powders.iter().enumerate().map(of_powder).collect();
     let others: String = more.iter().map(|(drawing, name)| swatch(drawing, name)).collect();
     format!("<ul class=\"legend\">{marks}{others}</ul>")
@@ -154,7 +159,12 @@ fn names(levels: &[String], room: f64) -> Vec<(f64, String)> {
     let each = room / levels.len().max(1) as f64;
     let every = (38.0 / each).ceil().max(1.0) as usize;
     let letters = (each * every as f64 / 6.6) as usize;
-    levels.iter().enumerate().step_by(every).map(|(k, name)| (k as f64, shortened(name, letters))).collect()
+    levels
+        .iter()
+        .enumerate()
+        .step_by(every)
+        .map(|(k, name)| (k as f64, shortened(name, letters)))
+        .collect()
 }
 
 /// Residuals of the original simulator over one covariate, with the curve of the extended one and
@@ -175,16 +185,25 @@ pub fn residuals(report: &Report, curve: &Curve) -> String {
     if points.iter().all(|(at, ..)| at.is_none()) {
         return String::new();
     }
-    let course: Vec<[f64; 3]> =
-        curve.course.iter().filter(|it| it.iter().all(|value| value.is_finite())).copied().collect();
+    let course: Vec<[f64; 3]> = curve
+        .course
+        .iter()
+        .filter(|it| it.iter().all(|value| value.is_finite()))
+        .copied()
+        .collect();
     let missing = points.iter().filter(|(at, ..)| at.is_none()).count();
     let right = WIDTH - EDGE - if missing > 0 { STRIP } else { 0.0 };
     let bottom = HEIGHT - BELOW;
     let band = course.iter().flat_map(|[_, mean, half]| [mean - half, mean + half]);
-    let y = Scale::over(points.iter().map(|(_, residual, _)| *residual).chain(band).chain([0.0]), bottom, EDGE);
+    let y = Scale::over(
+        points.iter().map(|(_, residual, _)| *residual).chain(band).chain([0.0]),
+        bottom,
+        EDGE,
+    );
     let is_named = !curve.levels.is_empty();
     let ends = if is_named { vec![-0.4, curve.levels.len() as f64 - 0.6] } else { Vec::new() };
-    let places = points.iter().filter_map(|(at, ..)| *at).chain(course.iter().map(|it| it[0])).chain(ends);
+    let places =
+        points.iter().filter_map(|(at, ..)| *at).chain(course.iter().map(|it| it[0])).chain(ends);
     let x = Scale::over(places, LEFT, right);
     let ticks = if is_named { names(&curve.levels, right - LEFT) } else { x.ticks(5.0) };
 
@@ -196,7 +215,11 @@ pub fn residuals(report: &Report, curve: &Curve) -> String {
         match at {
             // Runs of one name are placed side by side.
             Some(place) if is_named => {
-                drawing += &mark(*powder, x.at(place + 0.25 * (((k * 7) % 11) as f64 / 5.0 - 1.0)), y.at(*residual));
+                drawing += &mark(
+                    *powder,
+                    x.at(place + 0.25 * (((k * 7) % 11) as f64 / 5.0 - 1.0)),
+                    y.at(*residual),
+                );
             }
             Some(place) => drawing += &mark(*powder, x.at(*place), y.at(*residual)),
             None => {
@@ -211,8 +234,14 @@ pub fn residuals(report: &Report, curve: &Curve) -> String {
     }
     if missing > 0 {
         let middle = right + 21.0;
-        drawing += &format!("<text class=\"mid\" x=\"{middle:.1}\" y=\"{:.1}\">{missing} not</text>", bottom + 17.0);
-        drawing += &format!("<text class=\"mid\" x=\"{middle:.1}\" y=\"{:.1}\">recorded</text>", bottom + 31.0);
+        drawing += &format!(
+            "<text class=\"mid\" x=\"{middle:.1}\" y=\"{:.1}\">{missing} not</text>",
+            bottom + 17.0
+        );
+        drawing += &format!(
+            "<text class=\"mid\" x=\"{middle:.1}\" y=\"{:.1}\">recorded</text>",
+            bottom + 31.0
+        );
     }
     let summary = format!(
         "Measured less simulated angle of repose over {}: {} runs, {missing} without it recorded.",
@@ -265,8 +294,11 @@ pub fn predicted(report: &Report, caption: &str, side: Side) -> String {
     let order = powders(&report.rows);
     let rows = &report.rows;
     let all = rows.iter().filter_map(|row| row.measured_deg.map(|measured| (row, measured)));
-    let ends: Vec<f64> =
-        all.clone().flat_map(|(row, measured)| [Some(measured), row.before_deg, row.after_deg]).flatten().collect();
+    let ends: Vec<f64> = all
+        .clone()
+        .flat_map(|(row, measured)| [Some(measured), row.before_deg, row.after_deg])
+        .flatten()
+        .collect();
     let bottom = HEIGHT - BELOW;
     let x = Scale::over(ends.iter().copied(), LEFT, WIDTH - EDGE);
     let y = Scale::over(ends.iter().copied(), bottom, EDGE);
@@ -302,9 +334,17 @@ pub fn predicted(report: &Report, caption: &str, side: Side) -> String {
     }
     drawing += &marks;
     let rms = if count == 0 { f64::NAN } else { (square / count as f64).sqrt() };
-    let share = percent(within as f64 / count.max(1) as f64).replace("&gt;", "more than").replace("&lt;", "less than");
-    let summary = format!("RMS difference {}° over {count} runs; {share} lie within their 90 % interval.", num(rms, 2));
-    format!("<div>{}<p class=\"note\">{summary}</p></div>", figure(caption, &summary, HEIGHT, &drawing))
+    let share = percent(within as f64 / count.max(1) as f64)
+        .replace("&gt;", "more than")
+        .replace("&lt;", "less than");
+    let summary = format!(
+        "RMS difference {}° over {count} runs; {share} lie within their 90 % interval.",
+        num(rms, 2)
+    );
+    format!(
+        "<div>{}<p class=\"note\">{summary}</p></div>",
+        figure(caption, &summary, HEIGHT, &drawing)
+    )
 }
 
 /// The statistic of this campaign against the value exceeded by one in twenty campaigns without an
@@ -312,7 +352,8 @@ pub fn predicted(report: &Report, caption: &str, side: Side) -> String {
 pub fn null_scale(check: &NullCheck) -> String {
     const HEIGHT: f64 = 74.0;
     let both = check.statistic.zip(check.threshold95);
-    let Some((statistic, threshold95)) = both.filter(|(here, limit)| (here - limit).is_finite()) else {
+    let Some((statistic, threshold95)) = both.filter(|(here, limit)| (here - limit).is_finite())
+    else {
         return String::new();
     };
     let x = Scale::over([0.0, statistic, threshold95], 12.0, WIDTH - 12.0);

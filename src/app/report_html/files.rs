@@ -17,20 +17,30 @@ pub fn files(report: &Report) -> String {
 }
 
 fn file(file: &FileRead) -> String {
-    let heading = format!("<h3>{} <small>{} rows</small></h3>", text(&upper(&file.file)), file.rows);
+    let heading =
+        format!("<h3>{} <small>{} rows</small></h3>", text(&upper(&file.file)), file.rows);
     let rows: String = file.columns.iter().map(column).collect();
     let columns = table("", &[">Column", ">Taken as", "Filled", "Missing", ">Note"], &rows);
-    let left_out = file.left_out.iter().map(|it| format!("Left out: rows {}: {}.", numbers(&it.rows), it.reason));
+    let left_out = file
+        .left_out
+        .iter()
+        .map(|it| format!("Left out: rows {}: {}.", numbers(&it.rows), it.reason));
     let powders = file.powders.iter().map(|it| format!("Powder “{}” is {}.", it.name, it.id));
     let notes = file.notes.iter().map(|note| format!("{}.", upper(note)));
-    let notes: String = left_out.chain(notes).chain(powders).map(|it| format!("<li>{}</li>", text(&it))).collect();
+    let notes: String =
+        left_out.chain(notes).chain(powders).map(|it| format!("<li>{}</li>", text(&it))).collect();
     let notes = if notes.is_empty() { notes } else { format!("<ul class=\"plain\">{notes}</ul>") };
     format!("{heading}{columns}{notes}")
 }
 
 fn column(it: &ColumnRead) -> String {
     let left = |words: &str| format!("<span class=\"left wrap\">{}</span>", text(words));
-    let cells = [left(taken_as(it.taken_as)), it.filled.to_string(), it.missing.to_string(), left(&it.note)];
+    let cells = [
+        left(taken_as(it.taken_as)),
+        it.filled.to_string(),
+        it.missing.to_string(),
+        left(&it.note),
+    ];
     row(&text(&column_with_unit(&it.column)), &cells)
 }
 

@@ -11,11 +11,14 @@ pub fn before_after(report: &Report) -> String {
     let measured: Vec<_> = report.rows.iter().filter(with_both).collect();
     let mut drawn = String::new();
     if measured.iter().any(|row| row.before_deg.is_some()) {
-        drawn +=
-            &figures::predicted(report, "Before: the simulator as it was", |row| (row.before_deg, row.before_sd_deg));
+        drawn += &figures::predicted(report, "Before: the simulator as it was", |row| {
+            (row.before_deg, row.before_sd_deg)
+        });
     }
     if measured.iter().any(|row| row.after_deg.is_some()) {
-        drawn += &figures::predicted(report, "After: with what was found", |row| (row.after_deg, row.after_sd_deg));
+        drawn += &figures::predicted(report, "After: with what was found", |row| {
+            (row.after_deg, row.after_sd_deg)
+        });
     }
     if !drawn.is_empty() {
         drawn = format!(
@@ -24,7 +27,11 @@ pub fn before_after(report: &Report) -> String {
             if report.gain.is_some() { "; the tables below are of rows left out." } else { "." }
         );
     }
-    section("Before and after", "What the simulator predicts, against what was measured.", &(drawn + &gain(report)))
+    section(
+        "Before and after",
+        "What the simulator predicts, against what was measured.",
+        &(drawn + &gain(report)),
+    )
 }
 
 fn gain(report: &Report) -> String {
@@ -50,7 +57,11 @@ fn gain(report: &Report) -> String {
         })
     };
     let errors: String = splits.into_iter().map(split).collect();
-    let errors = table("", &[">Left out in turn", "Runs", "RMS error before", "after", "smaller by [95 %]"], &errors);
+    let errors = table(
+        "",
+        &[">Left out in turn", "Runs", "RMS error before", "after", "smaller by [95 %]"],
+        &errors,
+    );
     let score = &gain.log_score;
     let scores = row(
         "Log score, nats a run (more is better)",
@@ -63,7 +74,8 @@ fn gain(report: &Report) -> String {
         "Runs within their 90 % interval (90 % is right)",
         &[percent(gain.coverage90.before), percent(gain.coverage90.after), String::new()],
     );
-    let scores = table("", &[">Days left out in turn", "before", "after", "better by [95 %]"], &scores);
+    let scores =
+        table("", &[">Days left out in turn", "before", "after", "better by [95 %]"], &scores);
     let weighing = gain.weighing_error_mg.as_ref().map_or(String::new(), |it| {
         let oracle = it.oracle.map_or("–".to_owned(), |oracle| format!("{} mg", num(oracle, 2)));
         let cells = [
@@ -75,13 +87,22 @@ fn gain(report: &Report) -> String {
         ];
         table(
             "",
-            &[">Policy trained on", "simulator before", "after", "sham", "the truth", "smaller by [95 %]"],
+            &[
+                ">Policy trained on",
+                "simulator before",
+                "after",
+                "sham",
+                "the truth",
+                "smaller by [95 %]",
+            ],
             &row("Mean error of a weighing", &cells),
         )
     });
     let verdict = match gain.accepted {
         true => "The extended simulator predicts better what it was not fitted to. It is accepted.",
-        false => "The extended simulator does not surely predict better what it was not fitted to. It is not accepted.",
+        false => {
+            "The extended simulator does not surely predict better what it was not fitted to. It is not accepted."
+        }
     };
     format!(
         "<h3>On data that were left out of the fit</h3><p>{verdict} The whole search was repeated without the part left out; \

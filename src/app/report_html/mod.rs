@@ -31,7 +31,8 @@ use flip_discover::report::{Channel, Verdict};
 use words::{cause, chance, column, counted, duration, form, listed, lower, text, upper};
 
 /// Content security policy: the page's own style, and nothing else.
-pub const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
+pub const POLICY: &str =
+    "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
 
 const STYLE: &str = include_str!("style.css");
 
@@ -59,7 +60,12 @@ pub fn html(report: &Report) -> String {
          content=\"light dark\"/>\n<title>{} · FLIP investigation</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<main>\n{}\n\
          </main>\n</body>\n</html>\n",
         badge(report.verdict).1,
-        parts.iter().filter(|part| !part.is_empty()).map(String::as_str).collect::<Vec<_>>().join("\n")
+        parts
+            .iter()
+            .filter(|part| !part.is_empty())
+            .map(String::as_str)
+            .collect::<Vec<_>>()
+            .join("\n")
     )
 }
 
@@ -77,7 +83,8 @@ fn badge(verdict: Verdict) -> (&'static str, &'static str) {
 /// Sentence, verdict and p-value, and the meaning of the verdict.
 fn first(report: &Report) -> String {
     let is_unjudged = report.unjudged.is_some() && report.verdict == Verdict::NoDiscrepancy;
-    let (class, name) = if is_unjudged { ("doubt", "Could not be judged") } else { badge(report.verdict) };
+    let (class, name) =
+        if is_unjudged { ("doubt", "Could not be judged") } else { badge(report.verdict) };
     let sentence = if report.sentence.trim().is_empty() { name } else { report.sentence.trim() };
     let campaigns = report.null_check.campaigns;
     let least = match campaigns > 0 && report.p_value * (f64::from(campaigns) + 1.0) < 1.5 {
@@ -102,13 +109,18 @@ fn first(report: &Report) -> String {
 fn meaning(report: &Report) -> String {
     let is_found = |verdict: Verdict| verdict != Verdict::NoDiscrepancy;
     let has_traces = report.traces.as_ref().is_some_and(|it| is_found(it.verdict));
-    let has_flow = report.beside.iter().any(|it| it.channel == Channel::FlowTime && is_found(it.verdict));
+    let has_flow =
+        report.beside.iter().any(|it| it.channel == Channel::FlowTime && is_found(it.verdict));
     let creeps = report.causes.iter().any(|it| it.mechanism == CREEP);
-    let has_angles =
-        !(has_traces || has_flow || creeps) || report.findings.iter().any(|it| it.channel == Channel::Repose);
-    let parts =
-        [(has_angles, "the measured angles"), (has_flow, "the flow times"), (has_traces, "the balance readings")];
-    let parts: Vec<String> = parts.iter().filter(|(depart, _)| *depart).map(|(_, what)| (*what).to_owned()).collect();
+    let has_angles = !(has_traces || has_flow || creeps)
+        || report.findings.iter().any(|it| it.channel == Channel::Repose);
+    let parts = [
+        (has_angles, "the measured angles"),
+        (has_flow, "the flow times"),
+        (has_traces, "the balance readings"),
+    ];
+    let parts: Vec<String> =
+        parts.iter().filter(|(depart, _)| *depart).map(|(_, what)| (*what).to_owned()).collect();
     let what = upper(&listed(&parts));
     if creeps && parts.is_empty() {
         return "Whatever was measured, simulated heaps go on moving: what is wrong is how they are computed. These data show nothing else.".to_owned();
@@ -167,12 +179,19 @@ fn provenance(report: &Report) -> String {
         Some(id) => format!(
             "<span class=\"mono\">{}</span> <small>{}</small>",
             text(id),
-            if versions.verified { "verified by simulations" } else { "not yet verified by simulations" }
+            if versions.verified {
+                "verified by simulations"
+            } else {
+                "not yet verified by simulations"
+            }
         ),
     };
     let measured = report.rows.iter().filter(|row| row.measured_deg.is_some()).count();
     let mut facts = vec![
-        ("Simulator that was judged", format!("<span class=\"mono\">{}</span>", text(&versions.base))),
+        (
+            "Simulator that was judged",
+            format!("<span class=\"mono\">{}</span>", text(&versions.base)),
+        ),
         ("Simulator that the findings make", extended),
         ("Simulations", report.simulator_runs.to_string()),
         ("Simulated campaigns without an effect", report.null_check.campaigns.to_string()),
@@ -182,14 +201,19 @@ fn provenance(report: &Report) -> String {
     }
     if !report.rows.is_empty() {
         let powders = counted(figures::powders(&report.rows).len(), "powder");
-        facts.push(("Rows with an angle", format!("{measured} <small>of {}, {powders}</small>", report.rows.len())));
+        facts.push((
+            "Rows with an angle",
+            format!("{measured} <small>of {}, {powders}</small>", report.rows.len()),
+        ));
     }
     if report.wall_s > 0.0 {
         facts.push(("Time it took", duration(report.wall_s)));
     }
     facts.push(("Version of this document", report.schema_version.to_string()));
-    let facts: String =
-        facts.iter().map(|(what, value)| format!("<div><dt>{what}</dt><dd>{value}</dd></div>")).collect();
+    let facts: String = facts
+        .iter()
+        .map(|(what, value)| format!("<div><dt>{what}</dt><dd>{value}</dd></div>"))
+        .collect();
     sections::section(
         "Provenance",
         "The same file, settings and seed give this report again. All numbers are in report.json.",

@@ -3,10 +3,12 @@
 use super::figures::{self, bar};
 use super::traces::is_of_traces;
 use super::words::{
-    cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, level, lower, num, parameter,
-    percent, signed, span, text, with_unit, words,
+    cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, level,
+    lower, num, parameter, percent, signed, span, text, with_unit, words,
 };
-use flip_discover::report::{CauseReport, Channel, Experiment, Finding, PowderEffect, Report, SideChannel, Verdict};
+use flip_discover::report::{
+    CauseReport, Channel, Experiment, Finding, PowderEffect, Report, SideChannel, Verdict,
+};
 use flip_discover::{Mechanism, is_told};
 
 /// Maximum number of residual figures.
@@ -20,7 +22,9 @@ const SHADES: f64 = 4.0;
 pub fn section(title: &str, intro: &str, content: &str) -> String {
     match content {
         "" => String::new(),
-        content => format!("<section><h2>{title}</h2><p class=\"intro\">{intro}</p>{content}</section>"),
+        content => {
+            format!("<section><h2>{title}</h2><p class=\"intro\">{intro}</p>{content}</section>")
+        }
     }
 }
 
@@ -46,13 +50,14 @@ pub(super) fn row(head: &str, cells: &[String]) -> String {
 fn covariates(report: &Report) -> Vec<&str> {
     let of_findings = report.findings.iter().filter_map(|finding| finding.covariate.as_deref());
     let of_unexplained = report.unexplained.iter().filter_map(|it| it.covariate.as_deref());
-    let of_evidence = report.evidence.iter().flat_map(|it| match it.cause.strip_prefix("unknown: ") {
-        Some(covariate) => vec![covariate],
-        None => {
-            let known = Mechanism::ALL.iter().find(|mechanism| mechanism.name().0 == it.cause);
-            known.map_or(Vec::new(), |mechanism| mechanism.covariates().to_vec())
-        }
-    });
+    let of_evidence =
+        report.evidence.iter().flat_map(|it| match it.cause.strip_prefix("unknown: ") {
+            Some(covariate) => vec![covariate],
+            None => {
+                let known = Mechanism::ALL.iter().find(|mechanism| mechanism.name().0 == it.cause);
+                known.map_or(Vec::new(), |mechanism| mechanism.covariates().to_vec())
+            }
+        });
     let mut order: Vec<&str> = Vec::new();
     for name in of_findings.chain(of_unexplained).chain(of_evidence) {
         if !order.contains(&name) {
@@ -65,9 +70,14 @@ fn covariates(report: &Report) -> Vec<&str> {
 pub fn residuals(report: &Report) -> String {
     let order = covariates(report);
     let mut curves: Vec<_> = report.curves.iter().collect();
-    curves.sort_by_key(|curve| order.iter().position(|name| *name == curve.covariate).unwrap_or(order.len()));
-    let drawn: Vec<String> =
-        curves.iter().map(|curve| figures::residuals(report, curve)).filter(|it| !it.is_empty()).collect();
+    curves.sort_by_key(|curve| {
+        order.iter().position(|name| *name == curve.covariate).unwrap_or(order.len())
+    });
+    let drawn: Vec<String> = curves
+        .iter()
+        .map(|curve| figures::residuals(report, curve))
+        .filter(|it| !it.is_empty())
+        .collect();
     if drawn.is_empty() {
         return String::new();
     }
@@ -86,7 +96,10 @@ pub fn residuals(report: &Report) -> String {
     let left_out = drawn.len().saturating_sub(FIGURES_MAX);
     let more = match left_out {
         0 => String::new(),
-        n => format!("<p class=\"note\">{} of less weight not drawn.</p>", counted(n, "recorded condition")),
+        n => format!(
+            "<p class=\"note\">{} of less weight not drawn.</p>",
+            counted(n, "recorded condition")
+        ),
     };
     let drawn: String = drawn.into_iter().take(FIGURES_MAX).collect();
     section(
@@ -104,14 +117,21 @@ pub fn evidence(report: &Report) -> String {
     let bars_of = |of_traces: bool| -> String {
         let line = |it: &flip_discover::report::Evidence| {
             let class = if it.log10_evidence < 0.0 { "against" } else { "weight" };
-            let family = it.family.as_deref().map_or(String::new(), |family| text(&lower(&words(family))));
+            let family =
+                it.family.as_deref().map_or(String::new(), |family| text(&lower(&words(family))));
             row(
                 &format!("{} <span class=\"small\">{family}</span>", text(&cause(&it.cause))),
                 &[
                     bar(it.log10_evidence, low, high, class)
-                        + &format!("<span class=\"number\">{}</span>", signed(it.log10_evidence, 1)),
+                        + &format!(
+                            "<span class=\"number\">{}</span>",
+                            signed(it.log10_evidence, 1)
+                        ),
                     bar(it.inclusion_probability, 0.0, 1.0, "share")
-                        + &format!("<span class=\"number\">{}</span>", percent(it.inclusion_probability)),
+                        + &format!(
+                            "<span class=\"number\">{}</span>",
+                            percent(it.inclusion_probability)
+                        ),
                 ],
             )
         };
@@ -133,7 +153,9 @@ pub fn evidence(report: &Report) -> String {
     if angles.is_empty() && traces.is_empty() && untestable.is_empty() {
         return String::new();
     }
-    let bars = |rows: &str| table("evidence", &[">Cause and its family", "Evidence (log10)", "Probability"], rows);
+    let bars = |rows: &str| {
+        table("evidence", &[">Cause and its family", "Evidence (log10)", "Probability"], rows)
+    };
     let bars = match (angles.as_str(), traces.as_str()) {
         (_, "") => bars(&format!("{angles}{untestable}")),
         ("", _) => bars(&format!("{traces}{untestable}")),
@@ -156,7 +178,13 @@ fn causes(report: &Report) -> String {
     if report.verdict == Verdict::NoDiscrepancy {
         return String::new();
     }
-    let told = report.causes.iter().filter(|it| it.inclusion_probability >= TOLD).take(5).map(told).collect::<String>();
+    let told = report
+        .causes
+        .iter()
+        .filter(|it| it.inclusion_probability >= TOLD)
+        .take(5)
+        .map(told)
+        .collect::<String>();
     match told.as_str() {
         "" => told,
         told => format!("<h3>The most probable causes</h3><ul class=\"plain\">{told}</ul>"),
@@ -189,12 +217,15 @@ fn told(it: &CauseReport) -> String {
 }
 
 pub fn by_powder(report: &Report) -> String {
-    let findings: Vec<&Finding> = report.findings.iter().filter(|it| it.channel != Channel::Trace).collect();
+    let findings: Vec<&Finding> =
+        report.findings.iter().filter(|it| it.channel != Channel::Trace).collect();
     if findings.is_empty() {
         return String::new();
     }
     let mut powders: Vec<&str> = Vec::new();
-    for powder in findings.iter().flat_map(|finding| &finding.by_powder).map(|it| it.powder.as_str()) {
+    for powder in
+        findings.iter().flat_map(|finding| &finding.by_powder).map(|it| it.powder.as_str())
+    {
         if !powders.contains(&powder) {
             powders.push(powder);
         }
@@ -206,17 +237,26 @@ pub fn by_powder(report: &Report) -> String {
             let all = alike.flat_map(|f| f.by_powder.iter().map(|it| it.effect).chain([f.effect]));
             all.map(f64::abs).filter(|it| it.is_finite()).fold(1e-9, f64::max)
         };
-        findings.iter().map(|finding| effect(of(finding), most(&finding.unit), &finding.unit)).collect()
+        findings
+            .iter()
+            .map(|finding| effect(of(finding), most(&finding.unit), &finding.unit))
+            .collect()
     };
-    let line = |name: &str, cells: &[String]| format!("<tr><th scope=\"row\">{name}</th>{}</tr>", cells.concat());
+    let line = |name: &str, cells: &[String]| {
+        format!("<tr><th scope=\"row\">{name}</th>{}</tr>", cells.concat())
+    };
     let average = |finding: &Finding| match finding.powder {
-        None => Some(PowderEffect { powder: String::new(), effect: finding.effect, ci95: finding.ci95 }),
+        None => {
+            Some(PowderEffect { powder: String::new(), effect: finding.effect, ci95: finding.ci95 })
+        }
         Some(_) => None,
     };
     let rows: String = powders
         .iter()
         .map(|powder| {
-            let of = |finding: &Finding| finding.by_powder.iter().find(|it| it.powder == *powder).cloned();
+            let of = |finding: &Finding| {
+                finding.by_powder.iter().find(|it| it.powder == *powder).cloned()
+            };
             line(&text(&words(powder)), &cells(&of))
         })
         .collect();
@@ -238,7 +278,11 @@ pub fn beside(report: &Report) -> String {
             Channel::FlowTime => ("Flow times", "flow time"),
             _ => ("Scatter of repeats", "difference"),
         };
-        let says = if it.sentence.is_empty() { "It is the same throughout." } else { it.sentence.as_str() };
+        let says = if it.sentence.is_empty() {
+            "It is the same throughout."
+        } else {
+            it.sentence.as_str()
+        };
         let says = format!("<span class=\"left wrap\">{}</span>", text(says));
         row(name, &[counted(it.n as usize, looked_at), chance(it.p_value), says])
     };
@@ -260,8 +304,13 @@ fn heading(finding: &Finding) -> String {
         Channel::Trace => "Balance readings: ",
         Channel::Scatter => "Scatter: ",
     };
-    let what = finding.covariate.as_deref().map_or("nothing recorded".to_owned(), |name| column(name).0);
-    format!("{channel}{}<br/><span class=\"small\">{}</span>", text(&what), text(span(&finding.span, &what)))
+    let what =
+        finding.covariate.as_deref().map_or("nothing recorded".to_owned(), |name| column(name).0);
+    format!(
+        "{channel}{}<br/><span class=\"small\">{}</span>",
+        text(&what),
+        text(span(&finding.span, &what))
+    )
 }
 
 fn effect(effect: Option<PowderEffect>, most: f64, unit: &str) -> String {
@@ -274,11 +323,15 @@ fn effect(effect: Option<PowderEffect>, most: f64, unit: &str) -> String {
     };
     let sure = if is_told(it.ci95, unit) { "sure" } else { "plain-effect" };
     let number = with_unit(&signed(it.effect, 1), &text(unit));
-    format!("<td class=\"{sure}{shade}\">{number} <span class=\"small\">{}</span></td>", interval(it.ci95, 1))
+    format!(
+        "<td class=\"{sure}{shade}\">{number} <span class=\"small\">{}</span></td>",
+        interval(it.ci95, 1)
+    )
 }
 
 pub fn blind_spots(report: &Report) -> String {
-    let spots: String = report.blind_spots.iter().map(|it| format!("<li>{}</li>", text(it))).collect();
+    let spots: String =
+        report.blind_spots.iter().map(|it| format!("<li>{}</li>", text(it))).collect();
     match spots.as_str() {
         "" => spots,
         spots => section(
@@ -330,7 +383,10 @@ pub fn null_check(report: &Report) -> String {
     }
     if !report.minimum_detectable.is_empty() {
         let line = |it: &flip_discover::report::Detectable| {
-            row(&text(&cause(&it.mechanism)), &[format!("{}°", num(it.effect_deg, 1)), percent(it.power)])
+            row(
+                &text(&cause(&it.mechanism)),
+                &[format!("{}°", num(it.effect_deg, 1)), percent(it.power)],
+            )
         };
         let rows: String = report.minimum_detectable.iter().map(line).collect();
         content += "<h3>The smallest effects that this design would find</h3><p class=\"note\">Change of the angle from the 5th \
@@ -342,20 +398,34 @@ pub fn null_check(report: &Report) -> String {
 
 pub fn experiment(report: &Report) -> String {
     let Some(it) = &report.suggested_experiment else { return String::new() };
-    section("The next experiment", "What would tell most. Do the runs in this order.", &experiment_card(it))
+    section(
+        "The next experiment",
+        "What would tell most. Do the runs in this order.",
+        &experiment_card(it),
+    )
 }
 
 pub(super) fn experiment_card(it: &Experiment) -> String {
     let share = |what: &str, of: Option<f64>, note: &str| {
-        of.map_or(String::new(), |of| format!("<div><dt>{what}</dt><dd>{}{note}</dd></div>", percent(of)))
+        of.map_or(String::new(), |of| {
+            format!("<div><dt>{what}</dt><dd>{}{note}</dd></div>", percent(of))
+        })
     };
     let facts = format!(
         "<dl class=\"facts\"><div><dt>Time it takes</dt><dd>{}</dd></div>{}{}</dl>",
         duration(60.0 * it.minutes),
         share("Chance that it settles the cause", it.chance_of_resolution, ""),
-        share("Probability of the right cause after it", it.expected_posterior, " <small>on average</small>")
+        share(
+            "Probability of the right cause after it",
+            it.expected_posterior,
+            " <small>on average</small>"
+        )
     );
-    format!("<div class=\"card\"><p><strong>{}</strong></p>{facts}</div>{}", text(&it.what), runs(it))
+    format!(
+        "<div class=\"card\"><p><strong>{}</strong></p>{facts}</div>{}",
+        text(&it.what),
+        runs(it)
+    )
 }
 
 fn runs(experiment: &Experiment) -> String {
@@ -370,7 +440,8 @@ fn runs(experiment: &Experiment) -> String {
         return String::new();
     }
     let headings: Vec<String> = columns.iter().map(|name| text(&column_with_unit(name))).collect();
-    let headings: Vec<&str> = [">Run"].into_iter().chain(headings.iter().map(String::as_str)).collect();
+    let headings: Vec<&str> =
+        [">Run"].into_iter().chain(headings.iter().map(String::as_str)).collect();
     let line = |(k, run): (usize, &std::collections::BTreeMap<String, String>)| {
         let cell = |name: &&str| run.get(*name).map_or("–".to_owned(), |value| text(value));
         row(&(k + 1).to_string(), &columns.iter().map(cell).collect::<Vec<_>>())

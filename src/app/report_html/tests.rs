@@ -1,12 +1,15 @@
 use super::figures::Scale;
 use super::html;
-use super::words::{cause, chance, column_with_unit, duration, interval, num, percent, signed, span, with_unit};
+use super::words::{
+    cause, chance, column_with_unit, duration, interval, num, percent, signed, span, with_unit,
+};
 use flip_discover::numerics::{Dependence, Varied};
 use flip_discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
 use flip_discover::report::{
-    CauseReport, Channel, ColumnLeftOut, Coverage, Curve, Detectable, Evidence, Experiment, Finding, FormClass, Gain,
-    HeldOut, LogScore, NullCheck, Numerics, ParameterReport, PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions,
-    Unexplained, UntestableReport, Verdict, WeighingGain,
+    CauseReport, Channel, ColumnLeftOut, Coverage, Curve, Detectable, Evidence, Experiment,
+    Finding, FormClass, Gain, HeldOut, LogScore, NullCheck, Numerics, ParameterReport,
+    PowderEffect, Row, SCHEMA_VERSION, SimulatorVersions, Unexplained, UntestableReport, Verdict,
+    WeighingGain,
 };
 use flip_discover::{FitSet, Report};
 use std::collections::BTreeMap;
@@ -23,7 +26,11 @@ fn bare(verdict: Verdict) -> Report {
         ambiguous_between: Vec::new(),
         unexplained: None,
         suggested_experiment: None,
-        simulator_version: SimulatorVersions { base: "base-1".to_owned(), extended: None, verified: false },
+        simulator_version: SimulatorVersions {
+            base: "base-1".to_owned(),
+            extended: None,
+            verified: false,
+        },
         gain: None,
         minimum_detectable: Vec::new(),
         blind_spots: Vec::new(),
@@ -58,7 +65,8 @@ fn full(verdict: Verdict, word: &str) -> Report {
         })
         .collect();
     let places = |k: usize| (k != 3).then_some(30.0 + 3.0 * k as f64);
-    let held_out = HeldOut { rmse_before: 2.31, rmse_after: 1.72, ci95: [0.4, 0.8], unit: owned(), n: 11 };
+    let held_out =
+        HeldOut { rmse_before: 2.31, rmse_after: 1.72, ci95: [0.4, 0.8], unit: owned(), n: 11 };
     Report {
         sentence: owned(),
         p_value: 0.002,
@@ -81,11 +89,20 @@ fn full(verdict: Verdict, word: &str) -> Report {
             family: owned(),
             inclusion_probability: 0.93,
             confidence_level: 2,
-            parameters: vec![ParameterReport { name: owned(), value: 0.31, ci95: [0.2, 0.41], unit: owned() }],
+            parameters: vec![ParameterReport {
+                name: owned(),
+                value: 0.31,
+                ci95: [0.2, 0.41],
+                unit: owned(),
+            }],
             powders: vec![owned()],
         }],
         ambiguous_between: vec![owned(), "container_age".to_owned()],
-        unexplained: Some(Unexplained { covariate: Some(owned()), law: owned(), form_class: FormClass::Linear }),
+        unexplained: Some(Unexplained {
+            covariate: Some(owned()),
+            law: owned(),
+            form_class: FormClass::Linear,
+        }),
         suggested_experiment: Some(Experiment {
             what: owned(),
             runs: vec![BTreeMap::from([("powder".to_owned(), owned()), (owned(), owned())])],
@@ -93,7 +110,11 @@ fn full(verdict: Verdict, word: &str) -> Report {
             chance_of_resolution: Some(0.88),
             expected_posterior: Some(0.92),
         }),
-        simulator_version: SimulatorVersions { base: owned(), extended: Some(owned()), verified: true },
+        simulator_version: SimulatorVersions {
+            base: owned(),
+            extended: Some(owned()),
+            verified: true,
+        },
         gain: Some(Gain {
             by_powder: Some(held_out.clone()),
             by_range: Some(held_out.clone()),
@@ -112,7 +133,12 @@ fn full(verdict: Verdict, word: &str) -> Report {
         minimum_detectable: vec![Detectable { mechanism: owned(), effect_deg: 1.3, power: 0.8 }],
         blind_spots: vec![owned()],
         evidence: vec![
-            Evidence { cause: owned(), family: Some(owned()), log10_evidence: 6.2, inclusion_probability: 0.93 },
+            Evidence {
+                cause: owned(),
+                family: Some(owned()),
+                log10_evidence: 6.2,
+                inclusion_probability: 0.93,
+            },
             Evidence {
                 cause: format!("unknown: {word}"),
                 family: None,
@@ -148,7 +174,13 @@ fn full(verdict: Verdict, word: &str) -> Report {
                     is_defect: true,
                     runs: 9,
                 },
-                Dependence { varied: Varied::Substep, slope_deg: 0.11, ci99: [-0.5, 0.7], is_defect: false, runs: 6 },
+                Dependence {
+                    varied: Varied::Substep,
+                    slope_deg: 0.11,
+                    ci99: [-0.5, 0.7],
+                    is_defect: false,
+                    runs: 6,
+                },
             ],
         }),
         files: vec![FileRead {
@@ -171,8 +203,13 @@ fn full(verdict: Verdict, word: &str) -> Report {
     }
 }
 
-const VERDICTS: [Verdict; 5] =
-    [Verdict::NoDiscrepancy, Verdict::Cause, Verdict::Ambiguous, Verdict::Unexplained, Verdict::Hint];
+const VERDICTS: [Verdict; 5] = [
+    Verdict::NoDiscrepancy,
+    Verdict::Cause,
+    Verdict::Ambiguous,
+    Verdict::Unexplained,
+    Verdict::Hint,
+];
 
 /// Checks that every closing tag matches the last opened one.
 fn check_balance(page: &str) {
@@ -210,7 +247,10 @@ fn every_verdict_makes_a_page_whose_tags_balance() {
         for report in [bare(verdict), full(verdict, "relative_humidity_pct")] {
             let page = html(&report);
             check_balance(&page);
-            assert!(page.contains("chance of evidence this strong if nothing is wrong"), "{verdict:?}");
+            assert!(
+                page.contains("chance of evidence this strong if nothing is wrong"),
+                "{verdict:?}"
+            );
         }
     }
 }
@@ -240,7 +280,9 @@ fn nothing_that_comes_from_a_file_is_markup() {
 #[test]
 fn nothing_is_fetched_and_nothing_runs() {
     let page = html(&full(Verdict::Cause, "salt"));
-    for bad in ["http:", "https:", "<script", "<link", "@import", "url(", "src=", "href=", " style="] {
+    for bad in
+        ["http:", "https:", "<script", "<link", "@import", "url(", "src=", "href=", " style="]
+    {
         assert!(!page.contains(bad), "{bad}");
     }
 }
@@ -262,10 +304,9 @@ fn every_number_of_every_figure_is_finite() {
     let mut one = full(Verdict::Cause, "rest_min");
     one.rows.truncate(1);
     let mut alike = full(Verdict::Cause, "rest_min");
-    alike
-        .rows
-        .iter_mut()
-        .for_each(|row| (row.measured_deg, row.before_deg, row.after_deg) = (Some(30.0), Some(30.0), Some(30.0)));
+    alike.rows.iter_mut().for_each(|row| {
+        (row.measured_deg, row.before_deg, row.after_deg) = (Some(30.0), Some(30.0), Some(30.0))
+    });
     alike.curves.iter_mut().for_each(|curve| curve.at.iter_mut().for_each(|at| *at = Some(50.0)));
     alike.curves.iter_mut().for_each(|curve| curve.course.clear());
     let mut unmeasured = full(Verdict::Cause, "rest_min");
@@ -326,19 +367,27 @@ fn what_a_report_says_is_on_its_page() {
     let between = words_of(&html(&full(Verdict::Ambiguous, "humidity")));
     assert!(between.contains("cannot tell between humidity and ageing since opening"), "{between}");
     let law = words_of(&html(&full(Verdict::Unexplained, "pressure_hpa")));
-    assert!(law.contains("It depends on pressure. Its law (a straight line): pressure_hpa."), "{law}");
+    assert!(
+        law.contains("It depends on pressure. Its law (a straight line): pressure_hpa."),
+        "{law}"
+    );
 }
 
 #[test]
 fn conditions_of_findings_are_drawn_first_and_at_most_eight() {
     let mut report = full(Verdict::Cause, "relative_humidity_pct");
     let curve = report.curves[0].clone();
-    report.curves = (0..11).map(|k| Curve { covariate: format!("column{k}"), ..curve.clone() }).collect();
+    report.curves =
+        (0..11).map(|k| Curve { covariate: format!("column{k}"), ..curve.clone() }).collect();
     report.curves.push(curve);
     report.evidence[1].cause = "unknown: column7".to_owned();
     let page = html(&report);
-    let captions: Vec<&str> =
-        page.split("<figcaption>").skip(1).map(|it| it.split('<').next().unwrap()).take(8).collect();
+    let captions: Vec<&str> = page
+        .split("<figcaption>")
+        .skip(1)
+        .map(|it| it.split('<').next().unwrap())
+        .take(8)
+        .collect();
     assert_eq!(captions[..3], ["Relative humidity (%)", "Column7", "Column0"]);
     assert!(words_of(&page).contains("4 recorded conditions of less weight not drawn"));
 }
@@ -349,10 +398,14 @@ fn numbers_are_written_as_people_write_them() {
     assert_eq!(num(f64::NAN, 1), "–");
     assert_eq!(interval([-0.6, 0.4], 1), "[−0.6, 0.4]");
     assert_eq!([0.5, 0.02, 0.0021, 0.0002].map(chance), ["0.50", "0.020", "0.002", "0.0002"]);
-    assert_eq!([0.0, 0.001, 0.93, 0.999, 1.0].map(percent), ["0 %", "&lt; 1 %", "93 %", "&gt; 99 %", "100 %"]);
+    assert_eq!(
+        [0.0, 0.001, 0.93, 0.999, 1.0].map(percent),
+        ["0 %", "&lt; 1 %", "93 %", "&gt; 99 %", "100 %"]
+    );
     assert_eq!([12.0, 9000.0, 900.0].map(duration), ["12 s", "2.5 h", "15 min"]);
     assert_eq!(
-        ["relative_humidity_pct", "vibration_rms_m_s2", "operator", "_c", "rest_min"].map(column_with_unit),
+        ["relative_humidity_pct", "vibration_rms_m_s2", "operator", "_c", "rest_min"]
+            .map(column_with_unit),
         ["Relative humidity (%)", "Vibration (rms) (m/s²)", "Operator", " c", "Time at rest (min)"]
     );
     assert_eq!(span("from 28 to 70 % relative humidity", "Relative humidity"), "from 28 to 70 %");
@@ -363,10 +416,17 @@ fn numbers_are_written_as_people_write_them() {
 #[test]
 fn ticks_are_round_and_on_the_scale() {
     let written = |low: f64, high: f64| -> Vec<String> {
-        Scale::over([low, high], 0.0, 100.0).ticks(5.0).into_iter().map(|(_, written)| written).collect()
+        Scale::over([low, high], 0.0, 100.0)
+            .ticks(5.0)
+            .into_iter()
+            .map(|(_, written)| written)
+            .collect()
     };
     assert_eq!(written(0.0, 1.0), ["0.0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
-    assert_eq!(written(-3.0, 2.0), ["−3", "−2", "−1", "0", "1", "2"].map(|t| t.to_owned()).to_vec());
+    assert_eq!(
+        written(-3.0, 2.0),
+        ["−3", "−2", "−1", "0", "1", "2"].map(|t| t.to_owned()).to_vec()
+    );
     assert_eq!(written(30.0, 70.0), ["30", "40", "50", "60", "70"]);
     assert!(written(5.0, 5.0).contains(&"5.0".to_owned()));
 }

@@ -21,16 +21,19 @@ pub fn traces(report: &Report) -> String {
         counted(it.shakes as usize, "shake"),
         chance(it.p_value)
     );
-    let found: String =
-        report.findings.iter().filter(|finding| finding.channel == Channel::Trace).map(finding).collect();
+    let found: String = report
+        .findings
+        .iter()
+        .filter(|finding| finding.channel == Channel::Trace)
+        .map(finding)
+        .collect();
     let found = match found.as_str() {
         "" => found,
         rows => table("", &[">From where to where", "Change", "95 % interval"], rows),
     };
-    let unjudged = it
-        .unjudged
-        .as_ref()
-        .map_or(String::new(), |why| format!("<p>What the spoon lets fall is not judged: {}.</p>", text(why)));
+    let unjudged = it.unjudged.as_ref().map_or(String::new(), |why| {
+        format!("<p>What the spoon lets fall is not judged: {}.</p>", text(why))
+    });
     let check = &it.null_check;
     let null = check.statistic.zip(check.threshold95).map_or(String::new(), |(statistic, threshold95)| format!(
         "<h3>Null check</h3><p>Readings of this design were simulated {} times with nothing wrong, and the whole search was done on each. \
@@ -40,8 +43,12 @@ pub fn traces(report: &Report) -> String {
         num(statistic, 1),
         figures::null_scale(check)
     ));
-    let own = it.suggested_experiment.as_ref().filter(|own| report.suggested_experiment.as_ref() != Some(*own));
-    let own = own.map_or(String::new(), |own| format!("<h3>The next control</h3>{}", experiment_card(own)));
+    let own = it
+        .suggested_experiment
+        .as_ref()
+        .filter(|own| report.suggested_experiment.as_ref() != Some(*own));
+    let own = own
+        .map_or(String::new(), |own| format!("<h3>The next control</h3>{}", experiment_card(own)));
     section(
         "Balance readings",
         "What the balance showed during weighings, against the simulated spoon and balance. A powder's own response to the shakes is fitted, \
@@ -52,5 +59,8 @@ pub fn traces(report: &Report) -> String {
 
 fn finding(it: &Finding) -> String {
     let decimals = if it.unit == "%" { 0 } else { 2 };
-    row(&text(&it.span), &[with_unit(&signed(it.effect, decimals), &text(&it.unit)), interval(it.ci95, decimals)])
+    row(
+        &text(&it.span),
+        &[with_unit(&signed(it.effect, decimals), &text(&it.unit)), interval(it.ci95, decimals)],
+    )
 }

@@ -48,7 +48,11 @@ pub fn numerics(of: &Numerics) -> String {
     };
     let all: Vec<String> = of.dependences.iter().map(told).collect();
     let heaps: u32 = of.dependences.iter().map(|it| it.runs).sum();
-    format!("{} <small>{heaps} heaps of {}, 99 % intervals</small>", all.join("; "), text(&of.set.source))
+    format!(
+        "{} <small>{heaps} heaps of {}, 99 % intervals</small>",
+        all.join("; "),
+        text(&of.set.source)
+    )
 }
 
 /// Truncates to at most `most` letters.

@@ -79,7 +79,8 @@ fn line(check: &Check) -> String {
         Verdict::Failed => "FAILED",
         Verdict::Skipped => "skipped",
     };
-    let advice = check.advice.as_ref().map_or_else(String::new, |advice| format!("\n{:26}-> {advice}", ""));
+    let advice =
+        check.advice.as_ref().map_or_else(String::new, |advice| format!("\n{:26}-> {advice}", ""));
     format!("{verdict:<8} {:<8} {:<18} {}{advice}", check.device, check.name, check.came)
 }
 
@@ -100,7 +101,11 @@ mod tests {
         let checks = vec![check(Verdict::Failed, Some("be quicker")), check(Verdict::Ok, None)];
         let text = text(&Report { passed: false, checks });
         let lines: Vec<&str> = text.lines().collect();
-        assert!(lines[0].starts_with("FAILED   arm      stop") && lines[0].ends_with("stood after 80 ms"), "{text}");
+        assert!(
+            lines[0].starts_with("FAILED   arm      stop")
+                && lines[0].ends_with("stood after 80 ms"),
+            "{text}"
+        );
         assert_eq!(lines[1].trim(), "-> be quicker");
         assert_eq!(lines[3], "1 ok, 0 warnings, 1 failed, 0 skipped");
     }

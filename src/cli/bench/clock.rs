@@ -38,7 +38,11 @@ impl Spread {
         let mut sorted = values.to_vec();
         sorted.sort_unstable_by(f64::total_cmp);
         let n = sorted.len();
-        Self { median: (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0, min: sorted[0], max: sorted[n - 1] }
+        Self {
+            median: (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0,
+            min: sorted[0],
+            max: sorted[n - 1],
+        }
     }
 
     /// The spread of `windows` runs of `measure`.
@@ -64,7 +68,8 @@ mod tests {
 
     #[test]
     fn work_takes_processor_time_and_its_value_comes_back() {
-        let (spent, value) = core_s(|| (0..20_000_000u64).fold(0, |sum, k| std::hint::black_box(sum + k % 2)));
+        let (spent, value) =
+            core_s(|| (0..20_000_000u64).fold(0, |sum, k| std::hint::black_box(sum + k % 2)));
         assert_eq!(value, 10_000_000);
         assert!(spent > 0.0005, "{spent}");
     }

@@ -110,24 +110,32 @@ fn bed(common: &Common, arguments: &BedArguments) -> Result<(), Failure> {
         file: arguments.file.clone(),
         simulator: flip_sim::VERSION,
     };
-    common.print(&document, || format!("{} grains in {}", document.particles, document.file.display()))
+    common.print(&document, || {
+        format!("{} grains in {}", document.particles, document.file.display())
+    })
 }
 
 fn require_particles(field: &'static str, particles: u32) -> Result<(), FieldError> {
     if PARTICLES.contains(&particles) {
         return Ok(());
     }
-    let message = format!("must be from {} to {} grains, got {particles}", PARTICLES.start(), PARTICLES.end());
+    let message = format!(
+        "must be from {} to {} grains, got {particles}",
+        PARTICLES.start(),
+        PARTICLES.end()
+    );
     Err(FieldError::new(field, message))
 }
 
 /// A bed made by the simulator itself.
 fn settle(particles: u32) -> Result<Vec<[f64; 3]>, Failure> {
-    column::bed(particles).map_err(|cause| Failure::Failed(anyhow::anyhow!("the bed of {particles}: {cause}")))
+    column::bed(particles)
+        .map_err(|cause| Failure::Failed(anyhow::anyhow!("the bed of {particles}: {cause}")))
 }
 
 fn write_bed(file: &Path, centres: &[[f64; 3]]) -> Result<(), Failure> {
-    let lines: Vec<String> = centres.iter().map(|[x, y, z]| format!("{x:.9e},{y:.9e},{z:.9e}\n")).collect();
+    let lines: Vec<String> =
+        centres.iter().map(|[x, y, z]| format!("{x:.9e},{y:.9e},{z:.9e}\n")).collect();
     Ok(std::fs::write(file, lines.concat())?)
 }
 
@@ -139,8 +147,12 @@ fn read_bed(file: &Path) -> Result<Vec<[f64; 3]>, Failure> {
     };
     let text = std::fs::read_to_string(file)?;
     let centre = |(number, line): (usize, &str)| {
-        let numbers: Result<Vec<f64>, _> = line.split(',').map(|cell| cell.trim().parse()).collect();
-        numbers.ok().and_then(|n| <[f64; 3]>::try_from(n).ok()).ok_or_else(|| bad(number + 1).into())
+        let numbers: Result<Vec<f64>, _> =
+            line.split(',').map(|cell| cell.trim().parse()).collect();
+        numbers
+            .ok()
+            .and_then(|n| <[f64; 3]>::try_from(n).ok())
+            .ok_or_else(|| bad(number + 1).into())
     };
     text.lines().enumerate().map(centre).collect()
 }

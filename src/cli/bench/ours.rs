@@ -160,7 +160,8 @@ pub(super) fn sizes(particles: &[u32], windows: u32) -> Result<Vec<Size>, Failur
             particles,
             flowing_ns,
             resting_ns: resting.ns_per_particle_substep(),
-            ratio: flowing_ns.median / sizes.first().map_or(flowing_ns, |size| size.flowing_ns).median,
+            ratio: flowing_ns.median
+                / sizes.first().map_or(flowing_ns, |size| size.flowing_ns).median,
             resting_rms_mm_s: resting.column().speeds_m_s().1 * 1e3,
             lists_per_substep,
             list_ns,
@@ -174,7 +175,9 @@ pub(super) fn sizes(particles: &[u32], windows: u32) -> Result<Vec<Size>, Failur
 /// Core-seconds of one heap of 2000 grains of the default powder; every window uses another seed.
 pub(super) fn heap(windows: u32, seed: u64) -> Spread {
     let settings = repose::Settings::default();
-    Spread::over(windows, |k| core_s(|| repose(&ParameterSet::default(), &settings, seed + u64::from(k))).0)
+    Spread::over(windows, |k| {
+        core_s(|| repose(&ParameterSet::default(), &settings, seed + u64::from(k))).0
+    })
 }
 
 /// Core-seconds of one step of a weighing: 2500 grains of the default powder at 24 degrees, an 8 mm
@@ -210,10 +213,15 @@ pub(super) fn threads(scene: &Windows, windows: u32) -> Result<Threads, Failure>
     let column = &scene.start;
     let steps = (ENOUGH / column.particles() as f64).ceil() as u32;
     let clock = |threads: usize, simulations: usize| -> Result<f64, Failure> {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(anyhow::Error::from)?;
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .map_err(anyhow::Error::from)?;
         let mut columns = vec![column.clone(); simulations];
         let start = Instant::now();
-        pool.install(|| columns.par_iter_mut().with_max_len(1).for_each(|column| column.advance(steps)));
+        pool.install(|| {
+            columns.par_iter_mut().with_max_len(1).for_each(|column| column.advance(steps))
+        });
         Ok(start.elapsed().as_secs_f64())
     };
     let simulations = 2 * threads;

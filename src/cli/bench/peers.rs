@@ -13,7 +13,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 /// Names known to `run.sh one`.
-const PEERS: [&str; 5] = ["lammps-hooke", "lammps-soft", "lammps-full", "newton-xpbd", "taichi-pbd"];
+const PEERS: [&str; 5] =
+    ["lammps-hooke", "lammps-soft", "lammps-full", "newton-xpbd", "taichi-pbd"];
 /// Location of the scripts in a clone.
 const SCRIPTS: &str = "benches/peers";
 
@@ -68,12 +69,17 @@ impl Peers {
     /// Names the flag if there are no scripts.
     pub(super) fn new(folder: Option<&Path>) -> Result<Self, FieldError> {
         let Some(folder) = folder else { return Ok(Self { scripts: None, beds: None }) };
-        let has_scripts = |folder: &&Path| folder.join("scene.py").is_file() && folder.join("newton_xpbd.py").is_file();
-        let scripts = [folder, Path::new(SCRIPTS)].into_iter().find(has_scripts).ok_or_else(|| {
-            let message =
-                format!("no scripts in {} nor in {SCRIPTS}: run from the root of the clone", folder.display());
-            FieldError::new("peers", message)
-        })?;
+        let has_scripts = |folder: &&Path| {
+            folder.join("scene.py").is_file() && folder.join("newton_xpbd.py").is_file()
+        };
+        let scripts =
+            [folder, Path::new(SCRIPTS)].into_iter().find(has_scripts).ok_or_else(|| {
+                let message = format!(
+                    "no scripts in {} nor in {SCRIPTS}: run from the root of the clone",
+                    folder.display()
+                );
+                FieldError::new("peers", message)
+            })?;
         let beds = Some(folder.join("data")).filter(|data| data.is_dir());
         Ok(Self { scripts: Some(scripts.to_owned()), beds })
     }
@@ -89,7 +95,11 @@ impl Peers {
     }
 
     /// Times every simulator on a bed, window by window in turn. The first row is this simulator's.
-    pub(super) fn compare(&self, centres_m: &[[f64; 3]], windows: u32) -> Result<(Windows, Vec<Row>), Failure> {
+    pub(super) fn compare(
+        &self,
+        centres_m: &[[f64; 3]],
+        windows: u32,
+    ) -> Result<(Windows, Vec<Row>), Failure> {
         let mut ours = Windows::flowing(centres_m);
         let folder = std::env::temp_dir().join(format!("flip-bench-{}", std::process::id()));
         std::fs::create_dir_all(&folder)?;
@@ -98,7 +108,9 @@ impl Peers {
         let names: &[&str] = if self.scripts.is_some() { &PEERS } else { &[] };
         let start = |name: &&str| {
             telemetry::say(format_args!("flip: {name} on {} grains starts", centres_m.len()));
-            self.scripts.as_deref().map_or_else(|| Err(String::new()), |scripts| Peer::start(scripts, name, &bed))
+            self.scripts
+                .as_deref()
+                .map_or_else(|| Err(String::new()), |scripts| Peer::start(scripts, name, &bed))
         };
         let mut peers: Vec<Result<Peer, String>> = names.iter().map(start).collect();
         for _ in 0..windows {
@@ -119,9 +131,11 @@ impl Peers {
         let mut rows = vec![Row::Measured { ratio: 1.0, report: flip.clone() }];
         rows.extend(names.iter().zip(reports).map(|(name, report)| match report {
             Ok(report) => Row::Measured { ratio: ratio(&report), report },
-            Err(not_measured) => {
-                Row::NotMeasured { peer: (*name).to_owned(), particles: centres_m.len(), not_measured }
-            }
+            Err(not_measured) => Row::NotMeasured {
+                peer: (*name).to_owned(),
+                particles: centres_m.len(),
+                not_measured,
+            },
         }));
         Ok((ours, rows))
     }
@@ -216,7 +230,12 @@ impl Peer {
 fn last_line(errors: &Path) -> String {
     let text = std::fs::read_to_string(errors).unwrap_or_default();
     let names_it = |line: &&str| line.contains("rror");
-    text.lines().rfind(names_it).or(text.lines().last()).unwrap_or("ended without a word").trim().to_owned()
+    text.lines()
+        .rfind(names_it)
+        .or(text.lines().last())
+        .unwrap_or("ended without a word")
+        .trim()
+        .to_owned()
 }
 
 #[cfg(test)]
@@ -250,7 +269,9 @@ mod tests {
         let (_, rows) = peers.compare(&bed, 2).unwrap();
         let said = |wanted: &str| {
             rows.iter().find_map(|row| match row {
-                Row::NotMeasured { peer, not_measured, .. } if peer == wanted => Some(not_measured.as_str()),
+                Row::NotMeasured { peer, not_measured, .. } if peer == wanted => {
+                    Some(not_measured.as_str())
+                }
                 _ => None,
             })
         };

@@ -43,20 +43,27 @@ fn parity(name: &str) -> Result<Parity, FieldError> {
 /// Queries every protocol, and prints which one answered. Nothing is tared, zeroed or set.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     if arguments.port.trim().is_empty() {
-        return Err(FieldError::new("port", "must be a path, as /dev/ttyUSB0, or tcp://host:port").into());
+        return Err(
+            FieldError::new("port", "must be a path, as /dev/ttyUSB0, or tcp://host:port").into()
+        );
     }
     let settings = match arguments.baud {
-        Some(baud) => vec![Serial { baud, data_bits: arguments.data_bits, parity: arguments.parity }.checked()?],
+        Some(baud) => vec![
+            Serial { baud, data_bits: arguments.data_bits, parity: arguments.parity }.checked()?,
+        ],
         None => usual_settings(),
     };
-    let found = probe(&arguments.port, &settings, Tap::none(), |attempt| tell(&arguments.port, &attempt));
+    let found =
+        probe(&arguments.port, &settings, Tap::none(), |attempt| tell(&arguments.port, &attempt));
     if let Some(file) = &arguments.out {
         std::fs::write(file, transcript(&found.transcript))?;
     }
     common.print(&found, || text(&arguments.port, &found))?;
     match found.dialect {
         Some(_) => Ok(()),
-        None if found.transcript.is_empty() => Err(Failure::Found("the port cannot be opened".to_owned())),
+        None if found.transcript.is_empty() => {
+            Err(Failure::Found("the port cannot be opened".to_owned()))
+        }
         None => Err(Failure::Found("no balance answered in a dialect that FLIP knows".to_owned())),
     }
 }
@@ -85,13 +92,23 @@ fn text(port: &str, found: &Probe) -> String {
     let mut lines = vec![format!("dialect    {}", found.dialect.map_or("unknown", Dialect::name))];
     if let Some(identity) = &found.identity {
         lines.push(format!("maker      {}", identity.maker));
-        let told = [("model", &identity.model), ("serial", &identity.serial), ("software", &identity.software)];
-        lines.extend(told.into_iter().filter_map(|(what, it)| it.as_ref().map(|it| format!("{what:<10} {it}"))));
+        let told = [
+            ("model", &identity.model),
+            ("serial", &identity.serial),
+            ("software", &identity.software),
+        ];
+        lines.extend(
+            told.into_iter()
+                .filter_map(|(what, it)| it.as_ref().map(|it| format!("{what:<10} {it}"))),
+        );
     }
     // A TCP address has no such settings.
     if let Some(serial) = found.serial.filter(|_| !port.starts_with("tcp://")) {
         let Serial { baud, data_bits, parity } = serial;
-        lines.push(format!("port       {baud} bits/s, {data_bits} data bits, parity {parity:?}").to_lowercase());
+        lines.push(
+            format!("port       {baud} bits/s, {data_bits} data bits, parity {parity:?}")
+                .to_lowercase(),
+        );
     }
     lines.extend(found.notes.iter().map(|note| format!("note       {note}")));
     lines.join("\n")

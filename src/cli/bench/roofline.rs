@@ -9,7 +9,8 @@ use serde::Serialize;
 
 /// Buffer sizes for the bandwidth measurements, bytes: within a core's first- and second-level
 /// cache, and beyond most caches.
-const BUFFERS: [(&str, usize); 3] = [("16 KiB", 16 << 10), ("512 KiB", 512 << 10), ("512 MiB", 512 << 20)];
+const BUFFERS: [(&str, usize); 3] =
+    [("16 KiB", 16 << 10), ("512 KiB", 512 << 10), ("512 MiB", 512 << 20)];
 /// Bytes to read for one bandwidth measurement.
 const READ: usize = 2 << 30;
 /// Rounds for the arithmetic peak.
@@ -61,9 +62,12 @@ pub(super) fn roofline(scenes: &[(String, &Windows)], windows: u32) -> Roofline 
         let (spent, flops) = core_s(|| column::multiply_add(ROUNDS));
         flops as f64 / spent * 1e-9
     });
-    let bandwidths =
-        BUFFERS.map(|(name, bytes)| Bandwidth { buffer: name.to_owned(), gb_s: bandwidth(bytes, windows) });
-    let scenes = scenes.iter().map(|(name, scene)| place(name, scene, peak.median, windows)).collect();
+    let bandwidths = BUFFERS.map(|(name, bytes)| Bandwidth {
+        buffer: name.to_owned(),
+        gb_s: bandwidth(bytes, windows),
+    });
+    let scenes =
+        scenes.iter().map(|(name, scene)| place(name, scene, peak.median, windows)).collect();
     Roofline { peak_gflop_s: peak, bandwidths: bandwidths.into(), scenes }
 }
 
@@ -81,7 +85,8 @@ fn place(name: &str, windows: &Windows, peak: f64, repeats: u32) -> Scene {
     let bytes = windows.column().bytes();
     let (work, particle_substeps) = windows.count();
     let each = |total: u64| total as f64 / particle_substeps;
-    let (flops, streamed, gathered) = (each(work.flops), each(work.streamed_bytes), each(work.gathered_bytes));
+    let (flops, streamed, gathered) =
+        (each(work.flops), each(work.streamed_bytes), each(work.gathered_bytes));
     // The windows differ in how often they build the list; the count is over all windows, so the
     // time must be too.
     let mean_cost = windows.costs.iter().sum::<f64>() / windows.costs.len() as f64;

@@ -60,7 +60,9 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         let stop = Arc::new(AtomicBool::new(false));
         let _end = EndOnDrop(stop.clone());
         let (file, plan, looked) = (file.clone(), plan.clone(), looked.clone());
-        let shaking = tokio::task::spawn_blocking(move || calibrate(&file, plan, &looked, &stop, &Tap::none()));
+        let shaking = tokio::task::spawn_blocking(move || {
+            calibrate(&file, plan, &looked, &stop, &Tap::none())
+        });
         let found = shaking.await.map_err(anyhow::Error::from)?.map_err(failure)?;
         app.keep_shakes(&found.calibration).await?;
         Ok(found)
@@ -78,7 +80,8 @@ fn failure(error: Error) -> Failure {
 fn text(found: &Calibrated) -> String {
     let mut shakes: Vec<_> = found.shakes.iter().collect();
     shakes.sort_by(|a, b| a.shake.commanded_mm.total_cmp(&b.shake.commanded_mm));
-    let streamed = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"));
+    let streamed =
+        |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"));
     let rows: Vec<Vec<String>> = shakes
         .iter()
         .map(|it| {

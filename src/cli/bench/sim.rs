@@ -83,7 +83,11 @@ fn measure(peers: &Peers, arguments: &Arguments, seed: u64) -> Result<Document, 
         let resting = Windows::resting(&centres).time(windows);
         let rate = |scene: &Windows| {
             Spread::of(
-                &scene.costs.iter().map(|cost| centres.len() as f64 / cost / sim::law::SUBSTEP_S).collect::<Vec<_>>(),
+                &scene
+                    .costs
+                    .iter()
+                    .map(|cost| centres.len() as f64 / cost / sim::law::SUBSTEP_S)
+                    .collect::<Vec<_>>(),
             )
         };
         scenes.push(Scene {

@@ -31,7 +31,10 @@ pub(super) fn of(d: &Document) -> String {
             4 + 2 * d.windows,
             comparison(&d.comparison)
         ),
-        format!("The same columns here, million particle-substeps per core-second\n{}", scenes(&d.scenes)),
+        format!(
+            "The same columns here, million particle-substeps per core-second\n{}",
+            scenes(&d.scenes)
+        ),
         format!("Cost by size, ns per particle-substep, own beds\n{}", sizes(&d.sizes)),
         format!(
             "heap of 2000 grains   {} core-s\nstep of a weighing    {} core-s\n\
@@ -70,8 +73,17 @@ fn comparison(rows: &[Row]) -> String {
             cells
         }
     };
-    let header =
-        ["simulator", "N", "dt us", "iterations", "overlap", "core-s per sim-s", "ratio", "M steps/core-s", "MiB"];
+    let header = [
+        "simulator",
+        "N",
+        "dt us",
+        "iterations",
+        "overlap",
+        "core-s per sim-s",
+        "ratio",
+        "M steps/core-s",
+        "MiB",
+    ];
     let reasons = rows.iter().filter_map(|row| match row {
         Row::NotMeasured { peer, particles, not_measured } => {
             Some(format!("\nnot measured: {peer} on {particles} grains: {not_measured}"))
@@ -124,7 +136,8 @@ fn sizes(sizes: &[Size]) -> String {
 }
 
 fn roofline(r: &Roofline) -> String {
-    let reads = r.bandwidths.iter().map(|b| format!("{} GB/s from {}", spread(b.gb_s, 1), b.buffer));
+    let reads =
+        r.bandwidths.iter().map(|b| format!("{} GB/s from {}", spread(b.gb_s, 1), b.buffer));
     let row = |s: &Placed| {
         vec![
             s.scene.clone(),

@@ -46,15 +46,23 @@ pub(in super::super) struct VialReadyArguments {
 }
 
 /// Reserves the bench for a while.
-pub(in super::super) fn reserve(common: &Common, arguments: &ReserveArguments) -> Result<(), Failure> {
+pub(in super::super) fn reserve(
+    common: &Common,
+    arguments: &ReserveArguments,
+) -> Result<(), Failure> {
     let ReserveArguments { owner, seconds, id } = arguments;
     let request = ReservationRequest { owner: owner.clone(), seconds: *seconds, id: id.clone() };
     let reserved = with_writer(common, async |app| Ok(app.reserve_bench(request).await?))?;
-    common.print(&reserved, || format!("{} has the bench until {}: {}", reserved.owner, reserved.until, reserved.id))
+    common.print(&reserved, || {
+        format!("{} has the bench until {}: {}", reserved.owner, reserved.until, reserved.id)
+    })
 }
 
 /// Releases the bench.
-pub(in super::super) fn release(common: &Common, arguments: &ReleaseArguments) -> Result<(), Failure> {
+pub(in super::super) fn release(
+    common: &Common,
+    arguments: &ReleaseArguments,
+) -> Result<(), Failure> {
     let found = with_writer(common, async |app| {
         app.release_bench(&arguments.id).await?;
         Ok(app.bench().await?)
@@ -63,7 +71,10 @@ pub(in super::super) fn release(common: &Common, arguments: &ReleaseArguments) -
 }
 
 /// Confirms that a vial is in, and waits for the dose.
-pub(in super::super) fn vial_ready(common: &Common, arguments: &VialReadyArguments) -> Result<(), Failure> {
+pub(in super::super) fn vial_ready(
+    common: &Common,
+    arguments: &VialReadyArguments,
+) -> Result<(), Failure> {
     let VialReadyArguments { id, by, vial, bench } = arguments;
     let said = VialReadyRequest { by: by.clone(), vial: vial.clone() };
     let weighing = with_bench(common, bench, async |app| ended(app, id, &said).await)?;

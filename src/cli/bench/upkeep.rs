@@ -69,14 +69,20 @@ pub(in super::super) fn clear(common: &Common, arguments: &ClearArguments) -> Re
 }
 
 /// Lets weighings start again after a stop.
-pub(in super::super) fn resume(common: &Common, arguments: &ResumeArguments) -> Result<(), Failure> {
+pub(in super::super) fn resume(
+    common: &Common,
+    arguments: &ResumeArguments,
+) -> Result<(), Failure> {
     let request = ResumeRequest { by: arguments.by.clone(), note: arguments.note.clone() };
     let found = with_writer(common, async |app| Ok(app.resume_bench(request).await?))?;
     common.print(&found, || text(&found))
 }
 
 /// Stores a repeatability check of the balance.
-pub(in super::super) fn repeatability(common: &Common, arguments: &RepeatabilityArguments) -> Result<(), Failure> {
+pub(in super::super) fn repeatability(
+    common: &Common,
+    arguments: &RepeatabilityArguments,
+) -> Result<(), Failure> {
     let RepeatabilityArguments { readings_mg, readability_mg } = arguments.clone();
     let request = RepeatabilityRequest { readings_mg, readability_mg };
     let found = with_writer(common, async |app| Ok(app.check_repeatability(request).await?))?;
@@ -114,14 +120,25 @@ fn text(found: &BenchStatus) -> String {
     }));
     lines.extend(found.vial.iter().map(|vial| {
         let name = vial.name.as_deref().unwrap_or("of no name");
-        let holds = vial.holds_mg.map_or_else(|| "an unknown mass".to_owned(), |mg| format!("{mg:.1} mg"));
+        let holds =
+            vial.holds_mg.map_or_else(|| "an unknown mass".to_owned(), |mg| format!("{mg:.1} mg"));
         format!("vial       {name}, {holds} in it, last by weighing {}", vial.weighing)
     }));
     lines.extend(
-        found.reservation.iter().map(|it| format!("reserved   for {} until {}, {}", it.owner, it.until, it.id)),
+        found
+            .reservation
+            .iter()
+            .map(|it| format!("reserved   for {} until {}, {}", it.owner, it.until, it.id)),
     );
     lines.extend(found.moving.iter().map(|id| format!("moving     {id}")));
-    lines.extend(found.piling.iter().map(|it| format!("piling     pile {} of measurement {}", it.pile, it.job)));
-    lines.extend(found.repeatability.iter().map(|check| format!("repeats    SD {:.3} mg", check.sd_mg)));
+    lines.extend(
+        found
+            .piling
+            .iter()
+            .map(|it| format!("piling     pile {} of measurement {}", it.pile, it.job)),
+    );
+    lines.extend(
+        found.repeatability.iter().map(|check| format!("repeats    SD {:.3} mg", check.sd_mg)),
+    );
     lines.join("\n")
 }

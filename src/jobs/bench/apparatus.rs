@@ -102,8 +102,11 @@ pub struct Poured {
 /// One weighing on the bench: takes what to weigh, a callback that is notified of each event before
 /// the motion that follows and may forbid it, and the stop flag.
 /// On every exit the spoon is level and retracted, or a person must check the bench.
-pub type Pour =
-    Arc<dyn Fn(&Pouring, &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>, &AtomicBool) -> Poured + Send + Sync>;
+pub type Pour = Arc<
+    dyn Fn(&Pouring, &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>, &AtomicBool) -> Poured
+        + Send
+        + Sync,
+>;
 
 /// Makes a latched arm movable again.
 pub type Recover = Arc<dyn Fn(&str) -> Result<(), DeviceError> + Send + Sync>;
@@ -168,9 +171,18 @@ impl Apparatus {
 /// The closed loop on the simulator.
 pub fn simulated() -> Pour {
     Arc::new(|pouring, on_event, stop| {
-        let mut bench = SimulatedBench::new(&pouring.set, &pouring.powder(), &pouring.balance, pouring.seed);
+        let mut bench =
+            SimulatedBench::new(&pouring.set, &pouring.powder(), &pouring.balance, pouring.seed);
         let settings = Settings { accuracy: pouring.accuracy, ..Settings::EPISODE };
-        let weighed = weigh(&mut bench, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
+        let weighed = weigh(
+            &mut bench,
+            &pouring.controller,
+            &pouring.rules,
+            &pouring.order,
+            &settings,
+            on_event,
+            stop,
+        );
         poured(weighed, Some(bench.vial_mg()))
     })
 }
@@ -186,7 +198,10 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
         let clock = Clock::standing();
         let spoon = GrainsSpoon::new(&pouring.set, &pouring.powder(), pouring.seed);
         let settings = lab::Settings {
-            balance: flip_bench::emulate::balance::Settings { seed: pouring.seed, ..settings.balance.clone() },
+            balance: flip_bench::emulate::balance::Settings {
+                seed: pouring.seed,
+                ..settings.balance.clone()
+            },
             ..settings.clone()
         };
         // A bench with uncalibrated shakes executes less than it is commanded, and the gentlest
@@ -196,14 +211,16 @@ pub fn emulated(settings: lab::Settings) -> Apparatus {
         let pouring = Pouring { shakes: measured, ..pouring.clone() };
         match Laboratory::start(settings, clock.clone(), Box::new(spoon)) {
             Ok(laboratory) => {
-                let poured = on_devices(&opened, &laboratory.file(), clock, &pouring, on_event, stop);
+                let poured =
+                    on_devices(&opened, &laboratory.file(), clock, &pouring, on_event, stop);
                 Poured { dispensed_mg: Some(laboratory.dispensed_mg()), ..poured }
             }
             Err(error) => not_begun(format!("the emulated laboratory cannot be set up: {error}")),
         }
     });
     // Each dose has its own laboratory.
-    let apparatus = wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), Some(readability_mg));
+    let apparatus =
+        wires.apparatus(BenchKind::Emulated, pour, Arc::new(|_| Ok(())), Some(readability_mg));
     Apparatus { stand: Some(stand), remembers, ..apparatus }
 }
 
@@ -218,13 +235,15 @@ pub fn devices_by(file: BenchFile, clock: Clock) -> Apparatus {
     let readability_mg = file.balance.readability_mg;
     let (opened, empty_vial, spoon) = (wires.clone(), file.vial, file.spoon);
     let (arm, tap) = (file.arm.clone(), wires.tap());
-    let recover: Recover =
-        Arc::new(move |person| Arm::connect(&arm.url, tap.clone(), arm.deadlines())?.recover(person));
+    let recover: Recover = Arc::new(move |person| {
+        Arm::connect(&arm.url, tap.clone(), arm.deadlines())?.recover(person)
+    });
     let (url, asks) = (file.arm.url.clone(), wires.clone());
     let arm_latch: ArmLatch = Arc::new(move || settled_latch(&asks, &url));
     let stand = stand::devices(file.clone(), wires.clone());
-    let pour: Pour =
-        Arc::new(move |pouring, on_event, stop| on_devices(&opened, &file, clock.clone(), pouring, on_event, stop));
+    let pour: Pour = Arc::new(move |pouring, on_event, stop| {
+        on_devices(&opened, &file, clock.clone(), pouring, on_event, stop)
+    });
     let apparatus = wires.apparatus(BenchKind::Devices, pour, recover, readability_mg);
     Apparatus { stand: Some(stand), arm_latch, empty_vial, spoon, ..apparatus }
 }
@@ -232,7 +251,8 @@ pub fn devices_by(file: BenchFile, clock: Clock) -> Apparatus {
 /// Why the arm reports that it is latched, if it is.
 fn latch_cause(url: &str, tap: Tap) -> Result<Option<String>, DeviceError> {
     let arm = Arm::connect(url, tap, Deadlines::default())?;
-    let cause: String = arm.description().latch_cause.chars().filter(|c| !c.is_control()).take(CAUSE_MAX).collect();
+    let cause: String =
+        arm.description().latch_cause.chars().filter(|c| !c.is_control()).take(CAUSE_MAX).collect();
     Ok(Some(cause).filter(|cause| !cause.is_empty()))
 }
 
@@ -241,7 +261,8 @@ fn latch_cause(url: &str, tap: Tap) -> Result<Option<String>, DeviceError> {
 fn settled_latch(wires: &Wires, url: &str) -> Result<Option<String>, DeviceError> {
     let arm = Arm::connect(url, wires.tap(), Deadlines::default())?;
     let until = Instant::now() + ABANDONED_MAX;
-    let is_controlled = || arm.state().is_ok_and(|state| !matches!(state.mode(), Mode::Idle | Mode::Latched));
+    let is_controlled =
+        || arm.state().is_ok_and(|state| !matches!(state.mode(), Mode::Idle | Mode::Latched));
     while !wires.is_open() && is_controlled() && Instant::now() < until {
         std::thread::sleep(LOOK_AGAIN);
     }
@@ -349,10 +370,11 @@ fn on_devices(
     stop: &AtomicBool,
 ) -> Poured {
     let _floor = wires.floor();
-    let opened = Station::open(file, pouring.shakes.clone(), clock, &wires.tap()).and_then(|mut station| {
-        wires.opened(station.devices()?, station.stopper()?);
-        Ok(station)
-    });
+    let opened =
+        Station::open(file, pouring.shakes.clone(), clock, &wires.tap()).and_then(|mut station| {
+            wires.opened(station.devices()?, station.stopper()?);
+            Ok(station)
+        });
     let mut station = match opened {
         Ok(station) => station,
         Err(error) => return refused(error, latch_cause(&file.arm.url, wires.tap())),
@@ -360,13 +382,24 @@ fn on_devices(
     let (accuracy, forecast, readings) = (pouring.accuracy, Some(pouring.forecast), file.readings);
     let (life_s, rest_max_s, pan) = (readings.life_s, readings.stand_max_s, pouring.pan);
     let settings = Settings { accuracy, forecast, life_s, rest_max_s, pan, ..Settings::BENCH };
-    let weighed = weigh(&mut station, &pouring.controller, &pouring.rules, &pouring.order, &settings, on_event, stop);
+    let weighed = weigh(
+        &mut station,
+        &pouring.controller,
+        &pouring.rules,
+        &pouring.order,
+        &settings,
+        on_event,
+        stop,
+    );
     wires.closed();
-    let went_well = !weighed.must_look && !matches!(weighed.outcome, Outcome::Aborted | Outcome::Stopped);
+    let went_well =
+        !weighed.must_look && !matches!(weighed.outcome, Outcome::Aborted | Outcome::Stopped);
     let mut poured = poured(weighed, None);
     // For a balance that flags nothing, FLIP's own stability window decides: the balance itself
     // reported nothing.
-    if let Some(measured) = poured.measured.as_mut().filter(|_| file.balance.stable_by == StableBy::Window) {
+    if let Some(measured) =
+        poured.measured.as_mut().filter(|_| file.balance.stable_by == StableBy::Window)
+    {
         measured.stable_by_balance = false;
     }
     match if went_well { Ok(None) } else { latch_cause(&file.arm.url, wires.tap()) } {
@@ -385,10 +418,13 @@ fn refused(error: DeviceError, latch: Result<Option<String>, DeviceError>) -> Po
 
 /// The arm has latched itself: a person must check it, and gets the reason in the arm's own words.
 fn arm_latched(poured: Poured, cause: &str) -> Poured {
-    let said = format!("the arm is latched: {cause}. Look at spoon, vial and arm, then clear the bench");
+    let said =
+        format!("the arm is latched: {cause}. Look at spoon, vial and arm, then clear the bench");
     // A latched arm refuses every command: that refusal is not the cause.
     let is_refusal = |error: &String| {
-        ["the arm must not do this now", "the arm is latched"].iter().any(|refused| error.contains(refused))
+        ["the arm must not do this now", "the arm is latched"]
+            .iter()
+            .any(|refused| error.contains(refused))
     };
     let error = match poured.error.filter(|error| !is_refusal(error)) {
         Some(error) => format!("{said}; before that: {error}"),
@@ -426,7 +462,9 @@ fn poured(weighed: Weighed, dispensed_mg: Option<f64>) -> Poured {
         in_flight_mg: weighed.in_flight_mg,
         ..MeasuredMass::default()
     };
-    let must_look = weighed.must_look.then(|| weighed.cause.clone().unwrap_or_else(|| "a device failed".to_owned()));
+    let must_look = weighed
+        .must_look
+        .then(|| weighed.cause.clone().unwrap_or_else(|| "a device failed".to_owned()));
     Poured {
         outcome: weighed.outcome,
         dispensed_mg,
@@ -448,7 +486,8 @@ mod tests {
     fn a_stop_is_for_whoever_has_the_floor_also_before_the_devices_are_open() {
         let wires = Wires::default();
         let pour: Pour = Arc::new(|_, _, _| not_begun("nothing pours here".into()));
-        let halt = wires.clone().apparatus(BenchKind::Devices, pour, Arc::new(|_| Ok(())), Some(1.0)).halt;
+        let halt =
+            wires.clone().apparatus(BenchKind::Devices, pour, Arc::new(|_| Ok(())), Some(1.0)).halt;
         let floor = wires.floor();
         halt();
         assert!(wires.was_halted());

@@ -212,7 +212,8 @@ impl Condition {
     /// The same, if it is this weighing that moves; returns what is known of it.
     pub fn halt_weighing(&self, id: &str, by: Option<&str>) -> Option<(Weighing, Halted)> {
         let mut known = self.known();
-        let moving = known.moving.as_ref().map(|moving| moving.weighing.clone()).filter(|it| it.id == id)?;
+        let moving =
+            known.moving.as_ref().map(|moving| moving.weighing.clone()).filter(|it| it.id == id)?;
         self.flag.store(true, Ordering::SeqCst);
         Some((moving, known.halt(by)))
     }

@@ -52,7 +52,8 @@ impl Ended {
 
     /// Stopped before the bench was opened: nothing moved.
     pub(super) fn stopped_before() -> Self {
-        let ending = Ending::bare(WeighingState::Aborted, Outcome::Stopped, "stopped before anything moved");
+        let ending =
+            Ending::bare(WeighingState::Aborted, Outcome::Stopped, "stopped before anything moved");
         Self { ending, ticks: None, must_look: None, touched: Touched::Not }
     }
 
@@ -94,27 +95,42 @@ impl LaneThread {
         refused: Option<String>,
     ) -> Ended {
         let state = match poured.outcome {
-            Outcome::Within | Outcome::Under | Outcome::Over | Outcome::NotStable | Outcome::Blocked => {
-                WeighingState::Done
-            }
+            Outcome::Within
+            | Outcome::Under
+            | Outcome::Over
+            | Outcome::NotStable
+            | Outcome::Blocked => WeighingState::Done,
             Outcome::Stopped | Outcome::Aborted => WeighingState::Aborted,
             Outcome::Unknown => WeighingState::Unknown,
         };
         let touched = touched(&poured, &heard, pouring.order.readability_mg);
         let measured = poured.measured.map(|measured| MeasuredMass {
             minimum_mg: pouring.accuracy.repeatability_mg.map(|_| pouring.minimum_mg()),
-            below_minimum_weight: pouring.accuracy.repeatability_mg.map(|_| measured.net_mg < pouring.minimum_mg()),
+            below_minimum_weight: pouring
+                .accuracy
+                .repeatability_mg
+                .map(|_| measured.net_mg < pouring.minimum_mg()),
             devices: (self.apparatus.devices)(),
             ..measured
         });
         // The verdict is that of the reading, and so is the error. A dose that was not weighed has
         // none.
-        let is_weighed = matches!(poured.outcome, Outcome::Within | Outcome::Under | Outcome::Over | Outcome::Blocked);
-        let error_mg = poured.reading_mg.filter(|_| is_weighed).map(|reading_mg| reading_mg - weighing.target_mg);
+        let is_weighed = matches!(
+            poured.outcome,
+            Outcome::Within | Outcome::Under | Outcome::Over | Outcome::Blocked
+        );
+        let error_mg = poured
+            .reading_mg
+            .filter(|_| is_weighed)
+            .map(|reading_mg| reading_mg - weighing.target_mg);
         let error = match (refused, heard.unrecorded) {
             (Some(refused), _) => Some(refused),
             // The loop itself reports no reason for this.
-            (None, Some(why)) if poured.outcome == Outcome::Aborted && poured.must_look.is_none() => Some(why),
+            (None, Some(why))
+                if poured.outcome == Outcome::Aborted && poured.must_look.is_none() =>
+            {
+                Some(why)
+            }
             _ => poured.error,
         };
         let ending = Ending {
@@ -135,11 +151,19 @@ impl LaneThread {
 
     /// Why nothing was poured into the vial on the pan, and what to do.
     pub(super) fn refused(&self, weighing: &Weighing, before: &Pan, flaw: VialFlaw) -> String {
-        let named = |name: Option<&str>| name.map_or_else(|| "a vial".to_owned(), |name| format!("vial `{name}`"));
+        let named = |name: Option<&str>| {
+            name.map_or_else(|| "a vial".to_owned(), |name| format!("vial `{name}`"))
+        };
         let wanted = named(self.condition.pan().vial.and_then(|vial| vial.name).as_deref());
         let known = match (flaw, &before.vial) {
-            (VialFlaw::SameAsBefore { .. }, Some(Vial { name, holds_mg: Some(holds_mg), weighing, .. })) => {
-                format!(" ({} with {holds_mg:.1} mg, of weighing {weighing})", named(name.as_deref()))
+            (
+                VialFlaw::SameAsBefore { .. },
+                Some(Vial { name, holds_mg: Some(holds_mg), weighing, .. }),
+            ) => {
+                format!(
+                    " ({} with {holds_mg:.1} mg, of weighing {weighing})",
+                    named(name.as_deref())
+                )
             }
             _ => String::new(),
         };
@@ -181,7 +205,9 @@ impl LaneThread {
         let mut alone = Some(self.runtime.block_on(self.condition.alone()));
         self.condition.stands(pan.clone());
         let (mut pause, since) = (AGAIN, now());
-        while let Err(error) = self.runtime.block_on(self.try_to_write(weighing, ended, latch.as_ref(), pan)) {
+        while let Err(error) =
+            self.runtime.block_on(self.try_to_write(weighing, ended, latch.as_ref(), pan))
+        {
             tracing::error!(weighing = weighing.id, %error, "the end of a weighing is not written down yet");
             let unwritten = Unwritten { weighing: weighing.id.clone(), since, why: error.remedy() };
             self.condition.set_unwritten(Some(unwritten));
@@ -248,10 +274,15 @@ impl LaneThread {
     /// The ending with its ticks as a file; without them if there is no room.
     fn with_trace(&self, ended: &Ended) -> Ending {
         let Some(ticks) = &ended.ticks else { return ended.ending.clone() };
-        let trace = serde_json::to_vec(ticks).map_err(|error| store::Error::Corrupt(error.to_string()));
+        let trace =
+            serde_json::to_vec(ticks).map_err(|error| store::Error::Corrupt(error.to_string()));
         let trace = trace.and_then(|bytes| self.store.artifacts().put(&bytes));
         let lost = trace.as_ref().err().map(|error| format!("the trace was not stored: {error}"));
-        Ending { trace: trace.ok(), error: ended.ending.error.clone().or(lost), ..ended.ending.clone() }
+        Ending {
+            trace: trace.ok(),
+            error: ended.ending.error.clone().or(lost),
+            ..ended.ending.clone()
+        }
     }
 }
 
@@ -267,9 +298,19 @@ pub(super) async fn record_interrupted(store: &Store, condition: &Condition) -> 
     let mut tx = store.write().await?;
     for (id, bench) in interrupted {
         tracing::warn!(weighing = id, "was interrupted; its outcome is unknown");
-        tx.end_weighing(&id, &Ending::bare(WeighingState::Unknown, Outcome::Unknown, reason), now()).await?;
+        tx.end_weighing(
+            &id,
+            &Ending::bare(WeighingState::Unknown, Outcome::Unknown, reason),
+            now(),
+        )
+        .await?;
         if bench.has_devices() {
-            let latch = Latch { at: now(), reason: reason.to_owned(), weighing: Some(id), bench: Some(bench) };
+            let latch = Latch {
+                at: now(),
+                reason: reason.to_owned(),
+                weighing: Some(id),
+                bench: Some(bench),
+            };
             condition.latch(tx.latch_bench(&latch).await?);
         }
     }

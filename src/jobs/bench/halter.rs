@@ -27,7 +27,9 @@ impl Halter {
         if self.say.send(()).is_err() {
             // The thread panicked during an earlier stop. This stop gets its own.
             let halt = self.halt.clone();
-            if let Err(error) = std::thread::Builder::new().name("stop".into()).spawn(move || halt()) {
+            if let Err(error) =
+                std::thread::Builder::new().name("stop".into()).spawn(move || halt())
+            {
                 tracing::error!(%error, "the arm could not be told of a stop: it hears of it before its next motion");
             }
         }

@@ -82,7 +82,11 @@ impl Journal {
     ///
     /// # Errors
     /// As [`Self::write_down`].
-    pub async fn write_if_nobody_does(&self, store: &Store, condition: &Condition) -> store::Result<()> {
+    pub async fn write_if_nobody_does(
+        &self,
+        store: &Store,
+        condition: &Condition,
+    ) -> store::Result<()> {
         match self.writing.try_lock() {
             Ok(_one) => self.write(store, condition).await,
             Err(_) => Ok(()),

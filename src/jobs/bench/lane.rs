@@ -56,7 +56,9 @@ impl LaneThread {
                 Ok(Some(weighing)) => match self.carry_out(&weighing) {
                     Ok(true) => continue,
                     Ok(false) => {}
-                    Err(error) => tracing::error!(weighing = weighing.id, %error, "a weighing was not begun"),
+                    Err(error) => {
+                        tracing::error!(weighing = weighing.id, %error, "a weighing was not begun")
+                    }
                 },
                 Ok(None) => {}
                 Err(error) => tracing::error!(%error, "could not look for weighings"),
@@ -126,7 +128,10 @@ impl LaneThread {
     fn arm(&self, weighing: &Weighing) -> store::Result<Option<Pan>> {
         self.runtime.block_on(async {
             let mut tx = self.store.write().await?;
-            let Some(armed) = tx.arm_weighing(&weighing.id, self.apparatus.kind, now()).await? else { return Ok(None) };
+            let Some(armed) = tx.arm_weighing(&weighing.id, self.apparatus.kind, now()).await?
+            else {
+                return Ok(None);
+            };
             let pan = self.condition.pan();
             let begun = pan.begun(&weighing.id, self.condition.vial_of(weighing).as_deref(), now());
             if !self.apparatus.kind.exchanges_vials() {
@@ -150,7 +155,13 @@ impl LaneThread {
 
     /// Pours; as long as the result is an overdose that may be discarded, exchanges the vial and
     /// pours again.
-    fn pour_until_kept(&self, mut pouring: Pouring, weighing: &Weighing, pan: &Pan, stop: &StopSign) -> Ended {
+    fn pour_until_kept(
+        &self,
+        mut pouring: Pouring,
+        weighing: &Weighing,
+        pan: &Pan,
+        stop: &StopSign,
+    ) -> Ended {
         let retries = match weighing.asked.on_overdose {
             OnOverdose::DiscardAndRetry { max } if self.apparatus.kind.exchanges_vials() => max,
             _ => 0,
@@ -158,7 +169,9 @@ impl LaneThread {
         let mut discarded_mg = Vec::new();
         loop {
             let mut ended = self.pour(&pouring, weighing, pan, stop);
-            let again = ended.outcome() == Outcome::Over && discarded_mg.len() < retries as usize && ended.may_go_on();
+            let again = ended.outcome() == Outcome::Over
+                && discarded_mg.len() < retries as usize
+                && ended.may_go_on();
             if again && !stop.is_pressed() && self.record_discarded(weighing, &ended).is_ok() {
                 discarded_mg.extend(ended.reading_mg());
                 pouring.seed = derive(weighing.seed, &[RETRY, discarded_mg.len() as u64]);
@@ -186,7 +199,9 @@ impl LaneThread {
         }
         let mut heard = Heard::default();
         let mut on_event = |event: &Event<'_>| self.hear(&mut heard, &weighing.id, event, stop);
-        let poured = catch_unwind(AssertUnwindSafe(|| (self.apparatus.pour)(pouring, &mut on_event, stop.flag())));
+        let poured = catch_unwind(AssertUnwindSafe(|| {
+            (self.apparatus.pour)(pouring, &mut on_event, stop.flag())
+        }));
         match poured {
             Ok(poured) => {
                 let refused = heard.flaw.map(|flaw| self.refused(weighing, pan, flaw));
@@ -202,14 +217,23 @@ impl LaneThread {
     /// Records what is about to happen; returns `Break` if that fails, so that it does not. After a
     /// stop only the way back remains, which does not wait for a record; nor does it if recording
     /// has failed before.
-    fn hear(&self, heard: &mut Heard, id: &str, event: &Event<'_>, stop: &StopSign) -> ControlFlow<()> {
+    fn hear(
+        &self,
+        heard: &mut Heard,
+        id: &str,
+        event: &Event<'_>,
+        stop: &StopSign,
+    ) -> ControlFlow<()> {
         heard.began = true;
         if let Event::Pan(flaw) = event {
             heard.flaw = Some(**flaw);
         }
         self.journal.hear(id, (self.apparatus.exchanges)(), Some(event));
-        let (journal, store, condition) = (self.journal.clone(), self.store.clone(), self.condition.clone());
-        let writing = self.runtime.spawn(async move { journal.write_if_nobody_does(&store, &condition).await });
+        let (journal, store, condition) =
+            (self.journal.clone(), self.store.clone(), self.condition.clone());
+        let writing = self
+            .runtime
+            .spawn(async move { journal.write_if_nobody_does(&store, &condition).await });
         if stop.is_pressed() || heard.unrecorded.is_some() {
             return ControlFlow::Break(());
         }
@@ -223,7 +247,9 @@ impl LaneThread {
             Some(Ok(Ok(()))) => return ControlFlow::Continue(()),
             None => return ControlFlow::Break(()),
             Some(Ok(Err(error))) => unrecorded(&error),
-            Some(Err(ended)) => format!("the record could not be written, so nothing may move: {ended}"),
+            Some(Err(ended)) => {
+                format!("the record could not be written, so nothing may move: {ended}")
+            }
         };
         tracing::error!(weighing = id, failed, "what the bench does was not recorded");
         heard.unrecorded = Some(failed);

@@ -39,7 +39,8 @@ struct Trial {
 impl Trial {
     /// Takes the lock, and presses stop.
     fn begin(&self, store: &Store, other: &SqlitePool, runtime: &Handle) {
-        *self.held.lock().unwrap() = Some(runtime.block_on(other.begin_with("BEGIN IMMEDIATE")).unwrap());
+        *self.held.lock().unwrap() =
+            Some(runtime.block_on(other.begin_with("BEGIN IMMEDIATE")).unwrap());
         let bench = self.bench.get().unwrap().clone();
         if !*self.waits.lock().unwrap() {
             bench.halt(None);
@@ -62,7 +63,15 @@ async fn store(folder: &Path) -> (Store, ParameterSet) {
     let (set, shipped) = (ParameterSet::from_unit([0.5; 9]), shipped());
     let mut tx = store.write().await.unwrap();
     let manifest = serde_json::to_string(&shipped.policy.manifest).unwrap();
-    tx.insert_policy(&shipped.id, shipped.policy.manifest.kind.name(), None, &manifest, &shipped.bytes).await.unwrap();
+    tx.insert_policy(
+        &shipped.id,
+        shipped.policy.manifest.kind.name(),
+        None,
+        &manifest,
+        &shipped.bytes,
+    )
+    .await
+    .unwrap();
     tx.commit().await.unwrap();
     let writer = store.writer().unwrap();
     let job = "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at) \
@@ -90,8 +99,13 @@ async fn ask(store: &Store, bench: &Bench, set: &ParameterSet, id: &str) {
         vial_check: VialCheck::Skip,
     };
     let key = id.to_owned();
-    let intent =
-        Intent { id: id.into(), idempotency_key: key, request_sha256: vec![0; 32], request, parameter_set: set.id() };
+    let intent = Intent {
+        id: id.into(),
+        idempotency_key: key,
+        request_sha256: vec![0; 32],
+        request,
+        parameter_set: set.id(),
+    };
     let mut tx = store.write().await.unwrap();
     tx.insert_weighing(&intent, now()).await.unwrap();
     tx.commit().await.unwrap();
@@ -129,10 +143,13 @@ fn stopped(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stop_at_any_moment_of_a_dose_brings_the_spoon_back_although_another_program_holds_the_database() {
+async fn a_stop_at_any_moment_of_a_dose_brings_the_spoon_back_although_another_program_holds_the_database()
+ {
     let folder = tempfile::tempdir().unwrap();
     let (store, set) = store(folder.path()).await;
-    let other = SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.path().join("flip.db")));
+    let other = SqlitePool::connect_with(
+        SqliteConnectOptions::new().filename(folder.path().join("flip.db")),
+    );
     let clock = Clock::standing();
     let arm = arm::Settings { dead_man_ms: 20_000, ..Default::default() };
     let settings = lab::Settings { arm, ..lab::Settings::default() };
@@ -150,7 +167,10 @@ async fn a_stop_at_any_moment_of_a_dose_brings_the_spoon_back_although_another_p
         let id = format!("w-{at}-{waits}");
         ask(&store, &bench, &set, &id).await;
         let hear = hear.clone();
-        let ended = tokio::task::spawn_blocking(move || hear.lock().unwrap().recv_timeout(PATIENCE)).await.unwrap();
+        let ended =
+            tokio::task::spawn_blocking(move || hear.lock().unwrap().recv_timeout(PATIENCE))
+                .await
+                .unwrap();
         let (was_level, outcome) = ended.expect("the spoon comes back while the lock is held");
         assert_eq!(outcome, Outcome::Stopped, "{id}");
         assert!(laboratory.arm.is_level() && laboratory.arm.is_retracted(), "{id}");
@@ -166,8 +186,12 @@ async fn a_stop_at_any_moment_of_a_dose_brings_the_spoon_back_although_another_p
         assert_eq!((ended.outcome, ended.error), (Some(Outcome::Stopped), None), "{id}");
         // Events that could not be written when they happened are on record, in order.
         let records = store.audit_after(Some(&id), 0).await.unwrap();
-        let kinds: Vec<&str> = records.iter().map(|record| &*record.kind).filter(|kind| *kind != "sent").collect();
-        assert_eq!((kinds.first(), kinds.iter().filter(|kind| **kind == "outcome").count()), (Some(&"intent"), 1));
+        let kinds: Vec<&str> =
+            records.iter().map(|record| &*record.kind).filter(|kind| *kind != "sent").collect();
+        assert_eq!(
+            (kinds.first(), kinds.iter().filter(|kind| **kind == "outcome").count()),
+            (Some(&"intent"), 1)
+        );
         assert_eq!(bench.resume("Ada", "", bench.stops()).await.unwrap(), Change::Made, "{id}");
     }
     assert!(tilted > 1, "no moment with a tilted spoon was among them");

@@ -84,7 +84,8 @@ struct Lane {
 impl Bench {
     /// Records what the last process left moving, and loads the state of the bench.
     pub(super) async fn open(store: Store, apparatus: Apparatus) -> store::Result<Self> {
-        let (condition, records) = (Condition::of(apparatus.held.clone()), Arc::<Records>::default());
+        let (condition, records) =
+            (Condition::of(apparatus.held.clone()), Arc::<Records>::default());
         // Even if this process does not weigh: the lock on the data folder proves that no other one
         // does.
         record_interrupted(&store, &condition).await?;
@@ -119,8 +120,10 @@ impl Bench {
             runtime: Handle::current(),
             journal: Arc::default(),
         };
-        let thread = std::thread::Builder::new().name("bench".into()).spawn(move || lane.work(&woken));
-        let thread = thread.map_err(|source| store::Error::File { path: "the bench's thread".into(), source })?;
+        let thread =
+            std::thread::Builder::new().name("bench".into()).spawn(move || lane.work(&woken));
+        let thread = thread
+            .map_err(|source| store::Error::File { path: "the bench's thread".into(), source })?;
         *self.lane() = Some(Lane { wake, thread });
         Ok(())
     }
@@ -152,7 +155,8 @@ impl Bench {
     /// Readability (display step) of the balance, mg, where known in advance.
     pub fn readability_mg(&self) -> Option<f64> {
         let is_simulated = self.apparatus.kind == BenchKind::Simulated;
-        (self.apparatus.readability_mg)().or(is_simulated.then(|| balance::Settings::default().readability_mg))
+        (self.apparatus.readability_mg)()
+            .or(is_simulated.then(|| balance::Settings::default().readability_mg))
     }
 
     /// The stand where piles are made, if any.
@@ -212,7 +216,8 @@ impl Bench {
     /// [`store::Error`]
     pub async fn stop_waiting(&self, id: &str) -> store::Result<Option<Weighing>> {
         let mut tx = self.store.write().await?;
-        let ending = Ending::bare(WeighingState::Aborted, Outcome::Stopped, "stopped before its turn");
+        let ending =
+            Ending::bare(WeighingState::Aborted, Outcome::Stopped, "stopped before its turn");
         let ended = tx.end_planned_weighing(id, &ending, now()).await?;
         tx.commit().await?;
         if ended.is_some() {

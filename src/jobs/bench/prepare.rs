@@ -23,18 +23,34 @@ impl LaneThread {
     pub(super) fn prepare(&self, weighing: &Weighing, pan: &Pan) -> store::Result<Pouring> {
         let missing = |what: &str| store::Error::Corrupt(format!("the weighing's {what} is gone"));
         self.runtime.block_on(async {
-            let policy = self.store.policy_bytes(&weighing.policy).await?.ok_or_else(|| missing("policy"))?;
-            let set =
-                self.store.parameter_set(&weighing.parameter_set).await?.ok_or_else(|| missing("parameter set"))?;
-            let repeatability: Option<(_, Repeatability)> = self.store.newest_check(CheckKind::Repeatability).await?;
-            let shakes: Option<(_, ShakeCalibration)> = self.store.newest_check(CheckKind::Shakes).await?;
+            let policy = self
+                .store
+                .policy_bytes(&weighing.policy)
+                .await?
+                .ok_or_else(|| missing("policy"))?;
+            let set = self
+                .store
+                .parameter_set(&weighing.parameter_set)
+                .await?
+                .ok_or_else(|| missing("parameter set"))?;
+            let repeatability: Option<(_, Repeatability)> =
+                self.store.newest_check(CheckKind::Repeatability).await?;
+            let shakes: Option<(_, ShakeCalibration)> =
+                self.store.newest_check(CheckKind::Shakes).await?;
             let balance = balance::Settings::default();
             let spoon = dispense::Settings::default();
             let extensions = spoon.extensions.patched(&weighing.patch);
-            let extensions = extensions.map_err(|error| store::Error::Corrupt(error.to_string()))?;
-            let policy = policy::decode(&policy).map_err(|error| store::Error::Corrupt(error.to_string()))?;
-            let readability_mg = (self.apparatus.readability_mg)().unwrap_or(balance.readability_mg);
-            let earlier = if self.apparatus.remembers { self.earlier(&weighing.powder).await? } else { Vec::new() };
+            let extensions =
+                extensions.map_err(|error| store::Error::Corrupt(error.to_string()))?;
+            let policy = policy::decode(&policy)
+                .map_err(|error| store::Error::Corrupt(error.to_string()))?;
+            let readability_mg =
+                (self.apparatus.readability_mg)().unwrap_or(balance.readability_mg);
+            let earlier = if self.apparatus.remembers {
+                self.earlier(&weighing.powder).await?
+            } else {
+                Vec::new()
+            };
             if !earlier.is_empty() {
                 self.record_earlier(&weighing.id, earlier.len()).await?;
             }
@@ -68,12 +84,15 @@ impl LaneThread {
         let traces = self.store.traces_of(powder, self.apparatus.kind, REMEMBERED).await?;
         let falls = |trace: &String| {
             let bytes = self.store.artifacts().get(trace).map_err(|error| error.to_string())?;
-            let ticks: Vec<Tick> = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
+            let ticks: Vec<Tick> =
+                serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
             Ok::<_, String>(Fall::of(&ticks))
         };
         // A dose whose trace is lost counts as unknown; the others are still used.
         let known = |trace: &String| {
-            falls(trace).inspect_err(|error| tracing::warn!(trace, error, "an earlier dose cannot be read")).ok()
+            falls(trace)
+                .inspect_err(|error| tracing::warn!(trace, error, "an earlier dose cannot be read"))
+                .ok()
         };
         Ok(traces.iter().filter_map(known).collect())
     }

@@ -45,7 +45,8 @@ impl Records {
             }
             let mut tx = store.write().await?;
             for Halted { weighing, held, who } in &some {
-                acting_maybe(who.clone(), tx.audit_person(weighing.as_deref(), "stop", held.at)).await?;
+                acting_maybe(who.clone(), tx.audit_person(weighing.as_deref(), "stop", held.at))
+                    .await?;
                 tx.hold_bench(held).await?;
             }
             tx.commit().await?;

@@ -55,8 +55,11 @@ impl From<DeviceError> for Unpiled {
 
 /// Makes one pile and waits for its frames. Each step is reported; `Break` ends it with the gate
 /// closed.
-pub type Heaping =
-    Arc<dyn Fn(&Piling<'_>, &mut dyn FnMut(&str) -> ControlFlow<()>) -> Result<Vec<Upload>, Unpiled> + Send + Sync>;
+pub type Heaping = Arc<
+    dyn Fn(&Piling<'_>, &mut dyn FnMut(&str) -> ControlFlow<()>) -> Result<Vec<Upload>, Unpiled>
+        + Send
+        + Sync,
+>;
 
 /// The stand where piles are made.
 #[derive(Clone)]
@@ -120,8 +123,10 @@ pub(super) fn emulated(settings: lab::Settings, wires: Wires) -> PileStand {
     let heap: Heaping = Arc::new(move |piling, go_on| {
         let clock = Clock::fast(SPEED);
         let spoon = Box::new(FormulaSpoon::new(Flow::default(), piling.seed));
-        let laboratory = Laboratory::start(settings.clone(), clock.clone(), spoon)
-            .map_err(|error| Unpiled::Failed(format!("the emulated laboratory cannot be set up: {error}")))?;
+        let laboratory =
+            Laboratory::start(settings.clone(), clock.clone(), spoon).map_err(|error| {
+                Unpiled::Failed(format!("the emulated laboratory cannot be set up: {error}"))
+            })?;
         let _floor = wires.floor();
         let under_way = told.begin(piling);
         made(&wires, &tap, &laboratory.file(), clock, piling, go_on)?;
@@ -135,7 +140,12 @@ pub(super) fn emulated(settings: lab::Settings, wires: Wires) -> PileStand {
 fn recorder() -> (Arc<Mutex<Vec<Exchange>>>, Tap) {
     let exchanges: Arc<Mutex<Vec<Exchange>>> = Arc::default();
     let hearing = exchanges.clone();
-    (exchanges, Tap::new(move |exchange| hearing.lock().unwrap_or_else(PoisonError::into_inner).push(exchange)))
+    (
+        exchanges,
+        Tap::new(move |exchange| {
+            hearing.lock().unwrap_or_else(PoisonError::into_inner).push(exchange)
+        }),
+    )
 }
 
 fn photographed(piling: &Piling<'_>) -> Result<Vec<Upload>, Unpiled> {
@@ -143,7 +153,8 @@ fn photographed(piling: &Piling<'_>) -> Result<Vec<Upload>, Unpiled> {
     let cone = Studio::drawn(piling.cone_deg.ok_or_else(none)?, piling.seed).cone;
     let scene = Scene::of(Surface::Cone(cone));
     let count = piling.procedure.frames as usize;
-    let taken = frames(&scene, &Pose::default(), &Optics::default(), &Noise::default(), piling.seed, count);
+    let taken =
+        frames(&scene, &Pose::default(), &Optics::default(), &Noise::default(), piling.seed, count);
     let uploads: Result<Vec<Upload>, _> = taken.iter().map(upload).collect();
     uploads.map_err(|error| Unpiled::Failed(error.to_string()))
 }
@@ -206,7 +217,9 @@ struct Waiting {
 }
 
 /// The pile waiting for frames, and how many it has and needs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema,
+)]
 pub struct Awaited {
     /// Which pile, from 1.
     pub pile: u32,
@@ -245,7 +258,9 @@ impl Inbox {
             let have = self.locked().as_ref().map_or(0, |it| it.uploads.len());
             let ended = match () {
                 () if have >= wanted => Some(Ok(())),
-                () if go_on(&format!("waits for frames, {have} of {wanted} have come")).is_break() => {
+                () if go_on(&format!("waits for frames, {have} of {wanted} have come"))
+                    .is_break() =>
+                {
                     Some(Err(Unpiled::Stopped))
                 }
                 () if Instant::now() >= until => {
@@ -297,7 +312,8 @@ mod tests {
         let floor = wires.floor();
         let making = std::thread::spawn(move || {
             let procedure = Procedure::default();
-            let piling = Piling { job: "m", number: 1, procedure: &procedure, cone_deg: None, seed: 1 };
+            let piling =
+                Piling { job: "m", number: 1, procedure: &procedure, cone_deg: None, seed: 1 };
             let mut told = 0;
             let made = (stand.heap)(&piling, &mut |_| {
                 told += 1;
@@ -310,7 +326,10 @@ mod tests {
         (bench.halt)();
         drop(floor);
         let (made, told) = making.join().unwrap();
-        assert!(matches!(&made, Err(Unpiled::Failed(why)) if why.starts_with("stopped at the bench")), "{made:?}");
+        assert!(
+            matches!(&made, Err(Unpiled::Failed(why)) if why.starts_with("stopped at the bench")),
+            "{made:?}"
+        );
         assert_eq!((told, laboratory.slide.opening()), (0, 0.0));
     }
 
@@ -325,7 +344,8 @@ mod tests {
         let procedure = Procedure { frames: 3, ..Procedure::default() };
         let waits = inbox.clone();
         let waiting = std::thread::spawn(move || {
-            let piling = Piling { job: "m", number: 2, procedure: &procedure, cone_deg: None, seed: 1 };
+            let piling =
+                Piling { job: "m", number: 2, procedure: &procedure, cone_deg: None, seed: 1 };
             waits.collect(&piling, &mut |_| ControlFlow::Continue(()))
         });
         while inbox.awaits("m").is_none() {
@@ -333,7 +353,10 @@ mod tests {
         }
         assert_eq!((inbox.awaits("other"), inbox.add("other", frame(9))), (None, None));
         for k in 1..=3 {
-            assert_eq!(inbox.add("m", frame(k)), Some(Awaited { pile: 2, have: u32::from(k), wanted: 3 }));
+            assert_eq!(
+                inbox.add("m", frame(k)),
+                Some(Awaited { pile: 2, have: u32::from(k), wanted: 3 })
+            );
         }
         assert_eq!(inbox.add("m", frame(4)), None);
         assert_eq!(waiting.join().unwrap(), Ok(vec![frame(1), frame(2), frame(3)]));

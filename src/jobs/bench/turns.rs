@@ -76,7 +76,13 @@ impl Bench {
     ///
     /// # Errors
     /// [`store::Error`]: the bench is still latched.
-    pub async fn clear(&self, by: &str, note: &str, resume: bool, stops: u64) -> store::Result<Change> {
+    pub async fn clear(
+        &self,
+        by: &str,
+        note: &str,
+        resume: bool,
+        stops: u64,
+    ) -> store::Result<Change> {
         self.records.write_down(&self.store).await?;
         let pan = self.condition.pan().emptied();
         let mut tx = self.store.write().await?;
@@ -178,7 +184,9 @@ impl Bench {
     pub async fn arm_latch(&self) -> Result<Option<String>, DeviceError> {
         let arm_latch = self.apparatus.arm_latch.clone();
         let asked = tokio::task::spawn_blocking(move || arm_latch()).await;
-        asked.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
+        asked.unwrap_or_else(|error| {
+            Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() })
+        })
     }
 
     /// Lets a latched arm move again after a person's check. Nothing is recorded here. A stop
@@ -190,7 +198,9 @@ impl Bench {
     pub async fn recover(&self, person: &str) -> Result<(), DeviceError> {
         let (recover, person) = (self.apparatus.recover.clone(), person.to_owned());
         let recovered = tokio::task::spawn_blocking(move || recover(&person)).await;
-        recovered.unwrap_or_else(|error| Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() }))
+        recovered.unwrap_or_else(|error| {
+            Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() })
+        })
     }
 }
 

@@ -67,7 +67,11 @@ impl TraceFamily {
     /// The cause of the catalogue that is at work.
     pub fn mechanism(self) -> Option<&'static str> {
         match self {
-            Self::NullPlain | Self::NullFew | Self::NullMissing | Self::HiddenFill | Self::Wander => None,
+            Self::NullPlain
+            | Self::NullFew
+            | Self::NullMissing
+            | Self::HiddenFill
+            | Self::Wander => None,
             single => Some(single.name()),
         }
     }

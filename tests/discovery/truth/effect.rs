@@ -69,7 +69,9 @@ impl Shape {
                 t * t * (3.0 - 2.0 * t)
             }
             Self::TanhPower { half, p } => (u / half).powf(*p).tanh(),
-            Self::Broken { knee, before, after } => before * u.min(*knee) + after * (u - knee).max(0.0),
+            Self::Broken { knee, before, after } => {
+                before * u.min(*knee) + after * (u - knee).max(0.0)
+            }
             Self::Stretched { time, p } => -(-(u / time).powf(*p)).exp_m1(),
             Self::Bet { c } => {
                 let a = BET_ACTIVITY_MAX * u;
@@ -97,7 +99,11 @@ impl Shape {
             2 => Self::Arctan { centre: a, width: b },
             3 => Self::Smoothstep { from: a - b, to: a + b },
             4 => Self::TanhPower { half: a, p: rng.random_range(0.5..3.0) },
-            5 => Self::Broken { knee: a, before: rng.random_range(-1.0..1.0), after: rng.random_range(-1.0..1.0) },
+            5 => Self::Broken {
+                knee: a,
+                before: rng.random_range(-1.0..1.0),
+                after: rng.random_range(-1.0..1.0),
+            },
             6 => Self::Stretched { time: b, p: rng.random_range(0.3..0.8) },
             7 => Self::Bet { c: rng.random_range(2.0..60.0) },
             8 | 9 => Self::knots(4 + rng.random_range(0..4u32) as usize, rng),
@@ -125,7 +131,8 @@ fn spline(heights: &[f64], u: f64) -> f64 {
     let place = u.min(1.0) * last as f64;
     let left = (place as usize).min(last - 1);
     let t = place - left as f64;
-    let slope = |k: usize| if k == 0 || k == last { 0.0 } else { (heights[k + 1] - heights[k - 1]) / 2.0 };
+    let slope =
+        |k: usize| if k == 0 || k == last { 0.0 } else { (heights[k + 1] - heights[k - 1]) / 2.0 };
     let (t2, t3) = (t * t, t * t * t);
     (2.0 * t3 - 3.0 * t2 + 1.0) * heights[left]
         + (t3 - 2.0 * t2 + t) * slope(left)
@@ -142,7 +149,10 @@ impl Curve {
     pub fn of(shapes: Vec<Shape>) -> Self {
         let layer = |shape: Shape| {
             let values = || (0..PLACES).map(|k| shape.at(k as f64 / (PLACES - 1) as f64));
-            let range = [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)];
+            let range = [
+                values().fold(f64::INFINITY, f64::min),
+                values().fold(f64::NEG_INFINITY, f64::max),
+            ];
             (shape, range)
         };
         Self(shapes.into_iter().map(layer).collect())
@@ -184,7 +194,14 @@ impl Factor {
     /// The same over the range of its logarithm, with a ratio of at most 300.
     pub fn logarithm(name: &'static str, curve: impl Into<Curve>) -> Self {
         let [from, to] = column(name).range;
-        Self::Number { column: name, from: from.max(to / 300.0), to, log: true, floor: 0.0, curve: curve.into() }
+        Self::Number {
+            column: name,
+            from: from.max(to / 300.0),
+            to,
+            log: true,
+            floor: 0.0,
+            curve: curve.into(),
+        }
     }
 
     /// 1 without the ioniser, 0 with it.
@@ -196,7 +213,9 @@ impl Factor {
     /// The column it depends on.
     pub fn column(&self) -> &'static str {
         match self {
-            Self::Number { column, .. } | Self::Is { column, .. } | Self::Level { column, .. } => column,
+            Self::Number { column, .. } | Self::Is { column, .. } | Self::Level { column, .. } => {
+                column
+            }
         }
     }
 
@@ -204,7 +223,11 @@ impl Factor {
     pub fn at(&self, run: &Run) -> f64 {
         match (self, &run.values[self.column()]) {
             (Self::Number { from, to, log, floor, curve, .. }, Value::Number(x)) => {
-                let u = if *log { (x.max(*from) / from).ln() / (to / from).ln() } else { (x - from) / (to - from) };
+                let u = if *log {
+                    (x.max(*from) / from).ln() / (to / from).ln()
+                } else {
+                    (x - from) / (to - from)
+                };
                 floor + (1.0 - floor) * curve.at(u)
             }
             (Self::Is { name, .. }, Value::Name(level)) => f64::from(level == name),
@@ -221,9 +244,14 @@ impl fmt::Display for Factor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Number { column, from, to, log, floor, curve } => {
-                let shapes: Vec<String> = curve.0.iter().map(|(shape, _)| format!("{shape:.3?}")).collect();
+                let shapes: Vec<String> =
+                    curve.0.iter().map(|(shape, _)| format!("{shape:.3?}")).collect();
                 let scale = if *log { "log " } else { "" };
-                write!(f, "[{scale}{column} {from:.3}..{to:.3}, at least {floor:.2}: {}]", shapes.join(" then "))
+                write!(
+                    f,
+                    "[{scale}{column} {from:.3}..{to:.3}, at least {floor:.2}: {}]",
+                    shapes.join(" then ")
+                )
             }
             Self::Is { column, name } => write!(f, "[{column} = {name}]"),
             Self::Level { column, by_powder, .. } => {
@@ -262,7 +290,8 @@ impl Term {
 
 impl fmt::Display for Term {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let susceptibility: Vec<String> = self.susceptibility.iter().map(|x| format!("{x:.2}")).collect();
+        let susceptibility: Vec<String> =
+            self.susceptibility.iter().map(|x| format!("{x:.2}")).collect();
         write!(f, "{:.3} ({}) ", self.scale, susceptibility.join(", "))?;
         self.factors.iter().try_for_each(|factor| factor.fmt(f))
     }

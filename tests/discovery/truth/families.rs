@@ -4,8 +4,8 @@
 use super::Family;
 use super::effect::{Curve, Factor, Shape, Term};
 use super::laboratory::{
-    COLUMNS, Climate, Habits, Kind, Laboratory, Noise, PUBLISHED, Powder, Run, Tie, Truth, Value, column, mean,
-    percentile, stream,
+    COLUMNS, Climate, Habits, Kind, Laboratory, Noise, PUBLISHED, Powder, Run, Tie, Truth, Value,
+    column, mean, percentile, stream,
 };
 use rand::RngExt;
 use rand_pcg::Pcg64;
@@ -64,7 +64,8 @@ fn proposed(family: Family, size_deg: f64, rng: &mut Pcg64) -> Laboratory {
             new.noise.day_deg = 2.5;
             (new.days, new.repeats) = (4, 3);
             (new.habits.operator_daily, new.habits.plate_daily) = (true, true);
-            let columns = [HUMIDITY, TEMPERATURE, AGE, "pressure_hpa", "supply_v", "operator", "plate"];
+            let columns =
+                [HUMIDITY, TEMPERATURE, AGE, "pressure_hpa", "supply_v", "operator", "plate"];
             columns.into_iter().for_each(|name| record(&mut new, name));
         }
         Family::NullConfounded => tie(&mut new, &[HUMIDITY, TEMPERATURE, AGE], rng),
@@ -85,14 +86,18 @@ fn proposed(family: Family, size_deg: f64, rng: &mut Pcg64) -> Laboratory {
             new.truth.covariate = Some(new.terms[0].factors[0].column());
         }
         Family::Confounded => {
-            let others =
-                vec![(Family::ContainerAge, AGE), (Family::Temperature, TEMPERATURE), (Family::RestTime, REST)];
+            let others = vec![
+                (Family::ContainerAge, AGE),
+                (Family::Temperature, TEMPERATURE),
+                (Family::RestTime, REST),
+            ];
             let (other, name) = one(others, rng);
             tie(&mut new, &[HUMIDITY, name], rng);
             if name != AGE {
                 new.recorded.retain(|recorded| *recorded != AGE);
             }
-            let both = if rng.random() { [Family::Humidity, other] } else { [other, Family::Humidity] };
+            let both =
+                if rng.random() { [Family::Humidity, other] } else { [other, Family::Humidity] };
             single(&mut new, both[0], rng);
             new.truth.rivals = vec![both[1].name()];
         }
@@ -102,14 +107,26 @@ fn proposed(family: Family, size_deg: f64, rng: &mut Pcg64) -> Laboratory {
             // The axis spans three campaigns, because the wander does not end with the first.
             let curve: Curve = match rng.random_range(0..4u32) {
                 0 => Shape::knots(3 * new.days / rng.random_range(4..8u64) as usize, rng).into(),
-                1 => Shape::Wave { cycles: 3.0 * days / rng.random_range(9.0..22.0), phase: rng.random() }.into(),
+                1 => Shape::Wave {
+                    cycles: 3.0 * days / rng.random_range(9.0..22.0),
+                    phase: rng.random(),
+                }
+                .into(),
                 2 => Shape::Step { at: rng.random_range(0.1..0.24) }.into(),
                 _ => {
-                    let change = Shape::Broken { knee: rng.random_range(0.08..0.2), before: 0.0, after: 1.0 };
-                    Curve::of(vec![change, Shape::Stretched { time: rng.random_range(0.02..0.1), p: 1.5 }])
+                    let change = Shape::Broken {
+                        knee: rng.random_range(0.08..0.2),
+                        before: 0.0,
+                        after: 1.0,
+                    };
+                    Curve::of(vec![
+                        change,
+                        Shape::Stretched { time: rng.random_range(0.02..0.1), p: 1.5 },
+                    ])
                 }
             };
-            let susceptibility = some(&new, &[Pattern::Alike, Pattern::Graded, Pattern::Mixed], 1.0, rng);
+            let susceptibility =
+                some(&new, &[Pattern::Alike, Pattern::Graded, Pattern::Mixed], 1.0, rng);
             new.terms = vec![Term::new(susceptibility, vec![Factor::number("day", curve)])];
             if let Factor::Number { to, .. } = &mut new.terms[0].factors[0] {
                 *to = 3.0 * days;
@@ -124,17 +141,24 @@ fn proposed(family: Family, size_deg: f64, rng: &mut Pcg64) -> Laboratory {
 
 /// The suite's default campaign.
 fn laboratory(rng: &mut Pcg64) -> Laboratory {
-    let powder = |&(name, mean_deg, repeat_sd_deg, hygroscopic, flow_s): &(&str, _, _, _, _)| Powder {
-        name: name.to_owned(),
-        mean_deg,
-        repeat_sd_deg,
-        hygroscopic,
-        flow_s,
+    let powder = |&(name, mean_deg, repeat_sd_deg, hygroscopic, flow_s): &(&str, _, _, _, _)| {
+        Powder { name: name.to_owned(), mean_deg, repeat_sd_deg, hygroscopic, flow_s }
     };
-    let recorded: Vec<&str> =
-        COLUMNS.iter().filter(|column| rng.random_bool(column.chance)).map(|column| column.name).collect();
-    let times = vec![vec![1.0, 5.0, 15.0, 60.0, 240.0], vec![2.0, 10.0, 30.0, 120.0], vec![0.0, 20.0, 90.0, 180.0]];
-    let heights = [vec![45.0, 60.0, 75.0], vec![40.0, 50.0, 60.0, 80.0], (35..=95).step_by(5).map(f64::from).collect()];
+    let recorded: Vec<&str> = COLUMNS
+        .iter()
+        .filter(|column| rng.random_bool(column.chance))
+        .map(|column| column.name)
+        .collect();
+    let times = vec![
+        vec![1.0, 5.0, 15.0, 60.0, 240.0],
+        vec![2.0, 10.0, 30.0, 120.0],
+        vec![0.0, 20.0, 90.0, 180.0],
+    ];
+    let heights = [
+        vec![45.0, 60.0, 75.0],
+        vec![40.0, 50.0, 60.0, 80.0],
+        (35..=95).step_by(5).map(f64::from).collect(),
+    ];
     let rest_is_free = rng.random_bool(0.3);
     let climate = Climate {
         humidity_pct: [rng.random_range(25.0..35.0), rng.random_range(64.0..75.0)],
@@ -170,7 +194,13 @@ fn laboratory(rng: &mut Pcg64) -> Laboratory {
         climate,
         habits,
         tie: None,
-        noise: Noise { day_deg: 0.5, day_powder_deg: 0.4, kind: Kind::Normal, outliers: 0.0, scatter: None },
+        noise: Noise {
+            day_deg: 0.5,
+            day_powder_deg: 0.4,
+            kind: Kind::Normal,
+            outliers: 0.0,
+            scatter: None,
+        },
         recorded,
         missing: if rng.random() { rng.random_range(0.0..0.04) } else { 0.0 },
         terms: Vec::new(),
@@ -217,7 +247,12 @@ enum Pattern {
 }
 
 /// One of these patterns, with this sign.
-fn some(laboratory: &Laboratory, patterns: &[Pattern], sign_of_all: f64, rng: &mut Pcg64) -> Vec<f64> {
+fn some(
+    laboratory: &Laboratory,
+    patterns: &[Pattern],
+    sign_of_all: f64,
+    rng: &mut Pcg64,
+) -> Vec<f64> {
     let count = laboratory.powders.len();
     let pattern = one(patterns.to_vec(), rng);
     let mut places: Vec<usize> = (0..count).collect();
@@ -231,10 +266,18 @@ fn some(laboratory: &Laboratory, patterns: &[Pattern], sign_of_all: f64, rng: &m
         Pattern::Dry if !powder.hygroscopic => rng.random_range(0.9..1.5),
         Pattern::Hygroscopic | Pattern::Dry => rng.random_range(0.1..0.5),
         Pattern::Flat => (35.0 / powder.mean_deg).powi(2) * rng.random_range(0.9..1.1),
-        Pattern::Soluble => f64::from(["sugar", "salt"].contains(&powder.name.as_str())) * rng.random_range(0.8..1.2),
+        Pattern::Soluble => {
+            f64::from(["sugar", "salt"].contains(&powder.name.as_str()))
+                * rng.random_range(0.8..1.2)
+        }
         Pattern::Mixed => rng.random_range(0.5..1.4) * if place < felt_by { 1.0 } else { -1.0 },
     };
-    laboratory.powders.iter().zip(places).map(|(powder, place)| sign_of_all * of(powder, place)).collect()
+    laboratory
+        .powders
+        .iter()
+        .zip(places)
+        .map(|(powder, place)| sign_of_all * of(powder, place))
+        .collect()
 }
 
 /// Adds a cause of the catalogue, and its name.
@@ -252,17 +295,29 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
         Family::Humidity => {
             let shapes = vec![
                 Shape::Bet { c: rng.random_range(3.0..40.0) },
-                Shape::Smoothstep { from: rng.random_range(0.1..0.3), to: rng.random_range(0.6..0.85) },
+                Shape::Smoothstep {
+                    from: rng.random_range(0.1..0.3),
+                    to: rng.random_range(0.6..0.85),
+                },
                 Shape::ShiftedRoot { knee: rng.random_range(0.1..0.4) },
-                Shape::TanhPower { half: rng.random_range(0.4..0.7), p: rng.random_range(1.6..3.5) },
-                Shape::Broken { knee: rng.random_range(0.25..0.5), before: rng.random_range(0.0..0.3), after: 1.0 },
+                Shape::TanhPower {
+                    half: rng.random_range(0.4..0.7),
+                    p: rng.random_range(1.6..3.5),
+                },
+                Shape::Broken {
+                    knee: rng.random_range(0.25..0.5),
+                    before: rng.random_range(0.0..0.3),
+                    after: 1.0,
+                },
             ];
             let patterns = &[Pattern::Graded, Pattern::Hygroscopic, Pattern::Some];
             (patterns, 1.0, vec![Factor::number(HUMIDITY, one(shapes, rng))])
         }
         Family::Deliquescence => {
-            laboratory.climate.humidity_pct = [rng.random_range(35.0..45.0), rng.random_range(80.0..90.0)];
-            let (at, width) = ((rng.random_range(60.0..80.0) - 20.0) / 70.0, rng.random_range(0.015..0.05));
+            laboratory.climate.humidity_pct =
+                [rng.random_range(35.0..45.0), rng.random_range(80.0..90.0)];
+            let (at, width) =
+                ((rng.random_range(60.0..80.0) - 20.0) / 70.0, rng.random_range(0.015..0.05));
             let shapes = vec![
                 Shape::Smoothstep { from: at - width, to: at + width },
                 Shape::Arctan { centre: at, width: width / 3.0 },
@@ -275,10 +330,19 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
             let knee = rng.random_range(0.3..0.6);
             let factors = vec![
                 Factor::number(REST, Shape::Hill { half: rng.random_range(0.03..0.3), n: 1.0 }),
-                Factor::number(REST, Shape::Hill { half: rng.random_range(0.1..0.3), n: rng.random_range(1.5..2.5) }),
+                Factor::number(
+                    REST,
+                    Shape::Hill { half: rng.random_range(0.1..0.3), n: rng.random_range(1.5..2.5) },
+                ),
                 Factor::number(REST, stretched(0.05..0.3, rng)),
-                Factor::number(REST, Shape::Arctan { centre: 0.0, width: rng.random_range(0.05..0.3) }),
-                Factor::logarithm(REST, Shape::Broken { knee, before: rng.random_range(0.0..0.3), after: 1.0 }),
+                Factor::number(
+                    REST,
+                    Shape::Arctan { centre: 0.0, width: rng.random_range(0.05..0.3) },
+                ),
+                Factor::logarithm(
+                    REST,
+                    Shape::Broken { knee, before: rng.random_range(0.0..0.3), after: 1.0 },
+                ),
                 Factor::logarithm(REST, Shape::Smoothstep { from: knee - 0.25, to: knee + 0.35 }),
             ];
             (&[Pattern::Alike, Pattern::Graded, Pattern::Some], 1.0, vec![one(factors, rng)])
@@ -286,7 +350,10 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
         Family::HumidAgeing => {
             let humid = vec![
                 Shape::ShiftedRoot { knee: rng.random_range(0.1..0.3) },
-                Shape::Smoothstep { from: rng.random_range(0.05..0.2), to: rng.random_range(0.7..0.9) },
+                Shape::Smoothstep {
+                    from: rng.random_range(0.05..0.2),
+                    to: rng.random_range(0.7..0.9),
+                },
                 Shape::Bet { c: rng.random_range(2.0..20.0) },
             ];
             let rested = vec![
@@ -294,7 +361,10 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
                 Shape::Arctan { centre: 0.0, width: rng.random_range(0.05..0.4) },
                 stretched(0.1..0.4, rng),
             ];
-            let factors = vec![Factor::number(HUMIDITY, one(humid, rng)), Factor::number(REST, one(rested, rng))];
+            let factors = vec![
+                Factor::number(HUMIDITY, one(humid, rng)),
+                Factor::number(REST, one(rested, rng)),
+            ];
             (&[Pattern::Graded, Pattern::Hygroscopic], 1.0, factors)
         }
         Family::ContainerAge => {
@@ -310,25 +380,47 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
             (patterns, 1.0, vec![Factor::number(AGE, one(shapes, rng))])
         }
         Family::Charge => {
-            laboratory.climate.humidity_pct = [rng.random_range(20.0..26.0), rng.random_range(58.0..68.0)];
+            laboratory.climate.humidity_pct =
+                [rng.random_range(20.0..26.0), rng.random_range(58.0..68.0)];
             let shapes = vec![
                 Shape::Smoothstep { from: 0.0, to: rng.random_range(0.6..1.0) },
-                Shape::TanhPower { half: rng.random_range(0.3..0.7), p: rng.random_range(1.2..2.5) },
+                Shape::TanhPower {
+                    half: rng.random_range(0.3..0.7),
+                    p: rng.random_range(1.2..2.5),
+                },
                 Shape::Hill { half: rng.random_range(0.2..0.6), n: rng.random_range(1.2..3.0) },
                 Shape::ShiftedRoot { knee: rng.random_range(0.0..0.2) },
             ];
             let curve = one(shapes, rng).into();
             let from = rng.random_range(40.0..47.0);
-            let dryness = Factor::Number { column: HUMIDITY, from, to: 18.0, log: false, floor: 0.0, curve };
-            (&[Pattern::Alike, Pattern::Graded, Pattern::Dry], 1.0, vec![dryness, Factor::without_ioniser()])
+            let dryness =
+                Factor::Number { column: HUMIDITY, from, to: 18.0, log: false, floor: 0.0, curve };
+            (
+                &[Pattern::Alike, Pattern::Graded, Pattern::Dry],
+                1.0,
+                vec![dryness, Factor::without_ioniser()],
+            )
         }
         Family::Temperature => {
             laboratory.climate.temperature_sd_c = rng.random_range(1.8..2.6);
             let shapes = vec![
-                Shape::Broken { knee: rng.random_range(0.35..0.55), before: rng.random_range(0.0..0.3), after: 1.0 },
-                Shape::Smoothstep { from: rng.random_range(0.0..0.3), to: rng.random_range(0.6..1.0) },
-                Shape::Arctan { centre: rng.random_range(0.35..0.55), width: rng.random_range(0.05..0.2) },
-                Shape::TanhPower { half: rng.random_range(0.4..0.7), p: rng.random_range(1.5..4.0) },
+                Shape::Broken {
+                    knee: rng.random_range(0.35..0.55),
+                    before: rng.random_range(0.0..0.3),
+                    after: 1.0,
+                },
+                Shape::Smoothstep {
+                    from: rng.random_range(0.0..0.3),
+                    to: rng.random_range(0.6..1.0),
+                },
+                Shape::Arctan {
+                    centre: rng.random_range(0.35..0.55),
+                    width: rng.random_range(0.05..0.2),
+                },
+                Shape::TanhPower {
+                    half: rng.random_range(0.4..0.7),
+                    p: rng.random_range(1.5..4.0),
+                },
             ];
             let patterns = &[Pattern::Alike, Pattern::Graded, Pattern::Some, Pattern::Mixed];
             (patterns, 1.0, vec![Factor::number(TEMPERATURE, one(shapes, rng))])
@@ -337,19 +429,35 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
             let name = "vibration_rms_m_s2";
             let factors = vec![
                 Factor::number(name, Shape::Hill { half: rng.random_range(0.05..0.2), n: 1.0 }),
-                Factor::number(name, Shape::Arctan { centre: 0.0, width: rng.random_range(0.05..0.3) }),
+                Factor::number(
+                    name,
+                    Shape::Arctan { centre: 0.0, width: rng.random_range(0.05..0.3) },
+                ),
                 Factor::number(name, Shape::ShiftedRoot { knee: rng.random_range(0.01..0.1) }),
                 Factor::number(name, Shape::TanhPower { half: 0.2, p: rng.random_range(0.6..1.6) }),
-                Factor::logarithm(name, Shape::Broken { knee: rng.random_range(0.3..0.5), before: 0.1, after: 1.0 }),
+                Factor::logarithm(
+                    name,
+                    Shape::Broken { knee: rng.random_range(0.3..0.5), before: 0.1, after: 1.0 },
+                ),
             ];
             (&[Pattern::Alike, Pattern::Graded, Pattern::Flat], -1.0, vec![one(factors, rng)])
         }
         Family::FunnelHeight => {
             let shapes = vec![
-                Shape::Arctan { centre: rng.random_range(0.1..0.5), width: rng.random_range(0.1..0.4) },
+                Shape::Arctan {
+                    centre: rng.random_range(0.1..0.5),
+                    width: rng.random_range(0.1..0.4),
+                },
                 Shape::Hill { half: rng.random_range(0.3..0.6), n: rng.random_range(1.5..3.0) },
-                Shape::Broken { knee: rng.random_range(0.3..0.5), before: 1.0, after: rng.random_range(0.2..0.5) },
-                Shape::Smoothstep { from: rng.random_range(0.0..0.2), to: rng.random_range(0.6..1.0) },
+                Shape::Broken {
+                    knee: rng.random_range(0.3..0.5),
+                    before: 1.0,
+                    after: rng.random_range(0.2..0.5),
+                },
+                Shape::Smoothstep {
+                    from: rng.random_range(0.0..0.2),
+                    to: rng.random_range(0.6..1.0),
+                },
             ];
             let patterns = &[Pattern::Alike, Pattern::Graded, Pattern::Flat];
             (patterns, -1.0, vec![Factor::number("funnel_height_mm", one(shapes, rng))])
@@ -357,8 +465,15 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
         Family::Order => {
             let shapes = vec![
                 Shape::Hill { half: rng.random_range(0.1..0.5), n: rng.random_range(1.0..2.5) },
-                Shape::Arctan { centre: rng.random_range(0.0..0.5), width: rng.random_range(0.1..0.3) },
-                Shape::Broken { knee: rng.random_range(0.3..0.6), before: 1.0, after: rng.random_range(0.0..0.3) },
+                Shape::Arctan {
+                    centre: rng.random_range(0.0..0.5),
+                    width: rng.random_range(0.1..0.3),
+                },
+                Shape::Broken {
+                    knee: rng.random_range(0.3..0.6),
+                    before: 1.0,
+                    after: rng.random_range(0.0..0.3),
+                },
                 stretched(0.1..0.5, rng),
             ];
             let factor = course(laboratory, one(shapes, rng), 0.0);
@@ -371,15 +486,22 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
             // grains in one of them, which come out last.
             let level = Factor::Level { column: "batch", by_powder: form < 2, seed: rng.random() };
             let late = Shape::Smoothstep { from: 0.0, to: 1.0 };
-            let factors = if form < 2 { vec![level] } else { vec![level, course(laboratory, late, 0.4)] };
+            let factors =
+                if form < 2 { vec![level] } else { vec![level, course(laboratory, late, 0.4)] };
             (&[Pattern::Alike, Pattern::Graded], 1.0, factors)
         }
-        Family::MethodBias => (&[Pattern::Alike], sign(rng), vec![Factor::Is { column: "method", name: "camera" }]),
+        Family::MethodBias => {
+            (&[Pattern::Alike], sign(rng), vec![Factor::Is { column: "method", name: "camera" }])
+        }
         Family::Operator => {
             let level = Factor::Level { column: "operator", by_powder: false, seed: rng.random() };
             // Some operators grow careless in the course of a session.
             let tired = Shape::Hill { half: 0.5, n: 2.0 };
-            let factors = if rng.random_bool(0.35) { vec![level, course(laboratory, tired, 0.4)] } else { vec![level] };
+            let factors = if rng.random_bool(0.35) {
+                vec![level, course(laboratory, tired, 0.4)]
+            } else {
+                vec![level]
+            };
             (&[Pattern::Alike, Pattern::Graded, Pattern::Flat], 1.0, factors)
         }
         Family::BaseFriction => {
@@ -403,7 +525,11 @@ fn add(laboratory: &mut Laboratory, cause: Family, rng: &mut Pcg64) {
         }
     }
     // An unrecorded ioniser is off.
-    factors.iter().map(Factor::column).filter(|name| *name != "ioniser_on").for_each(|name| record(laboratory, name));
+    factors
+        .iter()
+        .map(Factor::column)
+        .filter(|name| *name != "ioniser_on")
+        .for_each(|name| record(laboratory, name));
     laboratory.terms.push(Term::new(susceptibility, factors));
 }
 
@@ -441,7 +567,8 @@ fn two_that_differ(rng: &mut Pcg64) -> [Family; 2] {
 
 /// Adds an effect of a column without a mechanism.
 fn outside(laboratory: &mut Laboratory, rng: &mut Pcg64) {
-    let columns = vec!["pressure_hpa", "hour_of_day", "lamp_nm", "noise_db", "supply_v", "balance_room_lux"];
+    let columns =
+        vec!["pressure_hpa", "hour_of_day", "lamp_nm", "noise_db", "supply_v", "balance_room_lux"];
     let name = one(columns, rng);
     let forms = vec!["linear", "power", "threshold", "saturating", "periodic", "smooth"];
     let form = one(forms, rng);
@@ -449,9 +576,14 @@ fn outside(laboratory: &mut Laboratory, rng: &mut Pcg64) {
     let shapes = match form {
         "linear" => vec![Shape::Power { p: 1.0 }],
         "power" => {
-            vec![Shape::Power { p: rng.random_range(0.3..0.5) }, Shape::Power { p: rng.random_range(2.0..3.5) }]
+            vec![
+                Shape::Power { p: rng.random_range(0.3..0.5) },
+                Shape::Power { p: rng.random_range(2.0..3.5) },
+            ]
         }
-        "threshold" => vec![Shape::Step { at }, Shape::Smoothstep { from: at - 0.04, to: at + 0.04 }],
+        "threshold" => {
+            vec![Shape::Step { at }, Shape::Smoothstep { from: at - 0.04, to: at + 0.04 }]
+        }
         "saturating" => {
             vec![
                 Shape::Hill { half: rng.random_range(0.08..0.2), n: 1.0 },
@@ -459,10 +591,14 @@ fn outside(laboratory: &mut Laboratory, rng: &mut Pcg64) {
             ]
         }
         "periodic" => vec![Shape::Wave { cycles: rng.random_range(1.0..2.0), phase: rng.random() }],
-        _ => vec![Shape::knots(5, rng), Shape::Bump { centre: at, width: rng.random_range(0.15..0.3) }],
+        _ => vec![
+            Shape::knots(5, rng),
+            Shape::Bump { centre: at, width: rng.random_range(0.15..0.3) },
+        ],
     };
     let factor = Factor::number(name, one(shapes, rng));
-    let susceptibility = some(laboratory, &[Pattern::Alike, Pattern::Graded, Pattern::Some], sign(rng), rng);
+    let susceptibility =
+        some(laboratory, &[Pattern::Alike, Pattern::Graded, Pattern::Some], sign(rng), rng);
     record(laboratory, name);
     laboratory.terms = vec![Term::new(susceptibility, vec![factor])];
     laboratory.truth.covariate = Some(name);
@@ -493,7 +629,9 @@ fn wild(rng: &mut Pcg64) -> Laboratory {
         flow_s: rng.random_range(3.0..12.0),
     }));
     let count = rng.random_range(3..9u32) as usize;
-    new.powders = (0..count).map(|_| powders.swap_remove(rng.random_range(0..powders.len() as u64) as usize)).collect();
+    new.powders = (0..count)
+        .map(|_| powders.swap_remove(rng.random_range(0..powders.len() as u64) as usize))
+        .collect();
     new.days = rng.random_range(12..41u32) as usize;
     new.repeats = rng.random_range(1..4u32) as usize;
     new.missing = rng.random_range(0.0..0.15);
@@ -505,7 +643,8 @@ fn wild(rng: &mut Pcg64) -> Laboratory {
         scatter: None,
     };
     new.truth.family = Family::Wild.name();
-    let columns: Vec<&'static str> = new.recorded.iter().copied().filter(|name| *name != "flow_time_s").collect();
+    let columns: Vec<&'static str> =
+        new.recorded.iter().copied().filter(|name| *name != "flow_time_s").collect();
     let causes = [0, 1, 1, 1, 1, 1, 2, 2][rng.random_range(0..8u32) as usize];
     if columns.is_empty() || causes == 0 {
         return new;
@@ -519,7 +658,8 @@ fn wild(rng: &mut Pcg64) -> Laboratory {
             let floor = rng.random_range(0.0..0.6);
             factors.push(any_factor(&runs, second, floor, rng));
         }
-        let patterns = [Pattern::Alike, Pattern::Graded, Pattern::Some, Pattern::Hygroscopic, Pattern::Mixed];
+        let patterns =
+            [Pattern::Alike, Pattern::Graded, Pattern::Some, Pattern::Hygroscopic, Pattern::Mixed];
         let susceptibility = some(&new, &patterns, sign(rng), rng);
         new.terms.push(Term::new(susceptibility, factors));
     }
@@ -545,13 +685,16 @@ fn any_factor(runs: &[Run], name: &'static str, floor: f64, rng: &mut Pcg64) -> 
 /// from something else recorded, or not be found.
 fn settled(laboratory: &mut Laboratory, wild: bool) -> bool {
     let runs = laboratory.campaign();
-    let (peak_max, shared_max) = if wild { (PEAK_MAX_WILD, SHARED_MAX_WILD) } else { (PEAK_MAX, SHARED_MAX) };
+    let (peak_max, shared_max) =
+        if wild { (PEAK_MAX_WILD, SHARED_MAX_WILD) } else { (PEAK_MAX, SHARED_MAX) };
     let mut effects: Vec<Vec<f64>> = Vec::new();
     for k in 0..laboratory.terms.len() {
         let raw: Vec<f64> = runs.iter().map(|run| laboratory.terms[k].at(run)).collect();
         let within = within_powders(&runs, &raw);
         let sd = mean(&within.iter().map(|x| x * x).collect::<Vec<_>>()).sqrt();
-        let felt = mean(&laboratory.terms[k].susceptibility.iter().map(|s| s * s).collect::<Vec<_>>()).sqrt();
+        let felt =
+            mean(&laboratory.terms[k].susceptibility.iter().map(|s| s * s).collect::<Vec<_>>())
+                .sqrt();
         let names = matches!(laboratory.terms[k].factors[0], Factor::Level { .. });
         if sd.is_nan() || sd < felt * if names { MOVED_MIN_NAMES } else { MOVED_MIN } {
             return false;
@@ -568,7 +711,8 @@ fn settled(laboratory: &mut Laboratory, wild: bool) -> bool {
         }
         let own: Vec<&str> = laboratory.terms[k].factors.iter().map(Factor::column).collect();
         let tied: &[&str] = laboratory.tie.as_ref().map_or(&[], |tie| &tie.columns);
-        let mut others = laboratory.recorded.iter().filter(|name| !own.contains(name) && !tied.contains(name));
+        let mut others =
+            laboratory.recorded.iter().filter(|name| !own.contains(name) && !tied.contains(name));
         if others.any(|name| explained(&runs, &within, name) > shared_max) {
             return false;
         }
@@ -580,7 +724,8 @@ fn settled(laboratory: &mut Laboratory, wild: bool) -> bool {
         return false;
     }
     let Some(tie) = &laboratory.tie else { return true };
-    let columns: Vec<Vec<f64>> = tie.columns.iter().filter_map(|name| numbers(&runs, name)).collect();
+    let columns: Vec<Vec<f64>> =
+        tie.columns.iter().filter_map(|name| numbers(&runs, name)).collect();
     columns.windows(2).all(|pair| {
         let r = correlation(&pair[0], &pair[1]).abs();
         TIED[0] < r && r < TIED[1]
@@ -608,7 +753,9 @@ pub fn within_powders(runs: &[Run], values: &[f64]) -> Vec<f64> {
 /// Pearson correlation; 0 if one of them is constant.
 pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let (mean_a, mean_b) = (mean(a), mean(b));
-    let sum = |f: &dyn Fn(f64, f64) -> f64| a.iter().zip(b).map(|(a, b)| f(a - mean_a, b - mean_b)).sum::<f64>();
+    let sum = |f: &dyn Fn(f64, f64) -> f64| {
+        a.iter().zip(b).map(|(a, b)| f(a - mean_a, b - mean_b)).sum::<f64>()
+    };
     let spread = (sum(&|a, _| a * a) * sum(&|_, b| b * b)).sqrt();
     if spread > 0.0 { sum(&|a, b| a * b) / spread } else { 0.0 }
 }

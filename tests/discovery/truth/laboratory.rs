@@ -64,7 +64,13 @@ pub const COLUMNS: [Column; 23] = [
     of("operator", NAMES, 0, 0.7, &["operator"]),
     of("batch", NAMES, 0, 0.45, &["batch"]),
     of("plate", NAMES, 0, 0.4, &["base_friction"]),
-    of("relative_humidity_pct", [20.0, 90.0], 1, 0.9, &["humidity", "deliquescence", "charge", "humid_ageing"]),
+    of(
+        "relative_humidity_pct",
+        [20.0, 90.0],
+        1,
+        0.9,
+        &["humidity", "deliquescence", "charge", "humid_ageing"],
+    ),
     of("temperature_c", [15.0, 30.0], 1, 0.85, &["temperature"]),
     of("rest_min", [0.0, 300.0], 0, 0.6, &["rest_time", "humid_ageing"]),
     of("container_age_d", [0.0, 45.0], 0, 0.6, &["container_age"]),
@@ -88,7 +94,10 @@ pub const COLUMNS: [Column; 23] = [
 /// # Panics
 /// No such column.
 pub fn column(name: &str) -> &'static Column {
-    COLUMNS.iter().find(|column| column.name == name).unwrap_or_else(|| panic!("nothing is called {name}"))
+    COLUMNS
+        .iter()
+        .find(|column| column.name == name)
+        .unwrap_or_else(|| panic!("nothing is called {name}"))
 }
 
 /// The value of a cell.
@@ -109,7 +118,9 @@ impl Value {
         if column(name).range[0].is_nan() {
             return Self::Name(text.to_owned());
         }
-        Self::Number(text.trim().parse().unwrap_or_else(|_| panic!("{name} is a number, not {text:?}")))
+        Self::Number(
+            text.trim().parse().unwrap_or_else(|_| panic!("{name} is a number, not {text:?}")),
+        )
     }
 }
 
@@ -287,18 +298,24 @@ impl Laboratory {
         let mut runs = Vec::new();
         for day in &self.calendar(start + days)[start..] {
             let mut rng = stream(self.seed, "runs", day.index);
-            let mut powders: Vec<usize> = (0..self.powders.len() * self.repeats).map(|k| k / self.repeats).collect();
+            let mut powders: Vec<usize> =
+                (0..self.powders.len() * self.repeats).map(|k| k / self.repeats).collect();
             for k in (1..powders.len()).rev() {
                 powders.swap(k, rng.random_range(0..=k as u64) as usize);
             }
             let count = powders.len();
             let places = powders.into_iter().enumerate();
-            let mut session: Vec<Run> =
-                places.map(|(place, powder)| self.run(day, powder, place, count, &mut rng)).collect();
+            let mut session: Vec<Run> = places
+                .map(|(place, powder)| self.run(day, powder, place, count, &mut rng))
+                .collect();
             let mut forgetting = stream(self.seed, "forgotten", day.index);
             for run in &mut session {
-                run.forgotten =
-                    self.recorded.iter().copied().filter(|_| forgetting.random_bool(self.missing)).collect();
+                run.forgotten = self
+                    .recorded
+                    .iter()
+                    .copied()
+                    .filter(|_| forgetting.random_bool(self.missing))
+                    .collect();
             }
             self.measure(day.index, &mut session);
             runs.append(&mut session);
@@ -314,7 +331,9 @@ impl Laboratory {
             if !sessions.contains(&session) {
                 sessions.push(session);
             }
-            for name in setting.keys().filter(|name| !["powder", "session"].contains(&name.as_str())) {
+            for name in
+                setting.keys().filter(|name| !["powder", "session"].contains(&name.as_str()))
+            {
                 let name = column(name).name;
                 assert!(!["day", "flow_time_s"].contains(&name), "{name} cannot be set");
                 if !self.recorded.contains(&name) {
@@ -338,13 +357,19 @@ impl Laboratory {
                 let powder = self.powders.iter().position(|powder| powder.name == *name);
                 powder.unwrap_or_else(|| panic!("the laboratory has no {name}"))
             });
-            rows.extend((0..self.powders.len()).filter(|&p| named.is_none_or(|it| it == p)).map(|p| (p, *setting)));
+            rows.extend(
+                (0..self.powders.len())
+                    .filter(|&p| named.is_none_or(|it| it == p))
+                    .map(|p| (p, *setting)),
+            );
         }
         let mut rng = stream(self.seed, "runs", day.index);
         let mut session = Vec::new();
         for (place, (powder, setting)) in rows.iter().enumerate() {
             let mut run = self.run(day, *powder, place, rows.len(), &mut rng);
-            for (name, text) in setting.iter().filter(|(name, _)| !["powder", "session"].contains(&name.as_str())) {
+            for (name, text) in
+                setting.iter().filter(|(name, _)| !["powder", "session"].contains(&name.as_str()))
+            {
                 run.values.insert(column(name).name, Value::parse(name, text));
             }
             session.push(run);
@@ -358,7 +383,8 @@ impl Laboratory {
         let Self { climate, habits, .. } = self;
         let mut rng = stream(self.seed, "calendar", 0);
         let mut weather = [(); 3].map(|()| normal(&mut rng));
-        let mut opened: Vec<f64> = self.powders.iter().map(|_| -rng.random_range(0.0..20.0f64).floor()).collect();
+        let mut opened: Vec<f64> =
+            self.powders.iter().map(|_| -rng.random_range(0.0..20.0f64).floor()).collect();
         let mut lot: Vec<usize> = vec![0; self.powders.len()];
         let innovation = (1.0 - climate.persistence.powi(2)).sqrt();
         let mut calendar = Vec::new();
@@ -367,7 +393,8 @@ impl Laboratory {
             weather = weather.map(|w| climate.persistence * w + innovation * normal(&mut rng));
             let season = (TAU * (date as f64 / climate.period_d + climate.phase)).sin() * SQRT_2;
             let humid = climate.season.sqrt() * season + (1.0 - climate.season).sqrt() * weather[0];
-            let warm = climate.warm_when_humid * humid + (1.0 - climate.warm_when_humid.powi(2)).sqrt() * weather[1];
+            let warm = climate.warm_when_humid * humid
+                + (1.0 - climate.warm_when_humid.powi(2)).sqrt() * weather[1];
             // The same number of draws on every day; otherwise a different number of days would
             // change the days.
             let all = rng.random_bool(habits.renewal);
@@ -386,8 +413,15 @@ impl Laboratory {
                     (age as f64 / tie.period_d as f64, vec![age as f64; self.powders.len()])
                 }
                 None => {
-                    let opened = if habits.shared_containers { vec![opened[0]; opened.len()] } else { opened.clone() };
-                    ((1.0 + erf(humid / SQRT_2)) / 2.0, opened.iter().map(|day| date as f64 - day).collect())
+                    let opened = if habits.shared_containers {
+                        vec![opened[0]; opened.len()]
+                    } else {
+                        opened.clone()
+                    };
+                    (
+                        (1.0 + erf(humid / SQRT_2)) / 2.0,
+                        opened.iter().map(|day| date as f64 - day).collect(),
+                    )
                 }
             };
             calendar.push(Day {
@@ -415,16 +449,21 @@ impl Laboratory {
         let one_of = |count: usize, rng: &mut Pcg64| rng.random_range(0..count as u64) as usize;
         let late = place as f64 / (count.max(2) - 1) as f64 - 0.5;
         let [dry, humid] = climate.humidity_pct;
-        let mut humidity_pct = dry + (humid - dry) * day.driver + day.drift_pct * late + 0.5 * normal(rng);
+        let mut humidity_pct =
+            dry + (humid - dry) * day.driver + day.drift_pct * late + 0.5 * normal(rng);
         let mut temperature_c = day.temperature_c + 0.5 * late + 0.15 * normal(rng);
-        let (listed, share) = (habits.rest_min[one_of(habits.rest_min.len(), rng)], rng.random::<f64>());
+        let (listed, share) =
+            (habits.rest_min[one_of(habits.rest_min.len(), rng)], rng.random::<f64>());
         let [shortest, longest] = [habits.rest_min[0], habits.rest_min[habits.rest_min.len() - 1]];
-        let mut rest_min = if habits.rest_is_free { shortest * (longest / shortest).powf(share) } else { listed };
+        let mut rest_min =
+            if habits.rest_is_free { shortest * (longest / shortest).powf(share) } else { listed };
         if let Some(tie) = &self.tie {
             for (name, tied) in tie.columns.iter().zip(day.ties) {
                 let level = day.driver + tie.jitter * tied;
                 match *name {
-                    "relative_humidity_pct" => humidity_pct = dry + (humid - dry) * level + 0.3 * normal(rng),
+                    "relative_humidity_pct" => {
+                        humidity_pct = dry + (humid - dry) * level + 0.3 * normal(rng)
+                    }
                     "temperature_c" => temperature_c = 18.5 + 6.5 * level + 0.1 * normal(rng),
                     // Less than a factor of three, so that its logarithm follows as well.
                     "rest_min" => rest_min = 60.0 + 110.0 * level,
@@ -434,7 +473,8 @@ impl Laboratory {
         }
         let operator = if habits.operator_daily { 0 } else { one_of(habits.operators, rng) };
         let plate = if habits.plate_daily { 0 } else { one_of(habits.plates, rng) };
-        let text = |names: &[&str], index: usize| Value::Name(names[index % names.len()].to_owned());
+        let text =
+            |names: &[&str], index: usize| Value::Name(names[index % names.len()].to_owned());
         let batch = match (habits.parallel_batches, rng.random::<bool>()) {
             (true, second) => ["A", "B"][usize::from(second)].to_owned(),
             (false, _) => {
@@ -446,24 +486,35 @@ impl Laboratory {
             ("day", Value::Number(day.index as f64)),
             ("order_in_session", Value::Number(place as f64 + 1.0)),
             ("method", text(&["manual", "camera"], usize::from(rng.random_bool(habits.camera)))),
-            ("operator", text(&["Ada", "Ben", "Chloe"][..habits.operators], day.operator + operator)),
+            (
+                "operator",
+                text(&["Ada", "Ben", "Chloe"][..habits.operators], day.operator + operator),
+            ),
             ("batch", Value::Name(batch)),
             ("plate", text(&["glass", "steel", "acrylic"][..habits.plates], day.plate + plate)),
             ("relative_humidity_pct", Value::Number(humidity_pct.clamp(8.0, 95.0))),
             ("temperature_c", Value::Number(temperature_c)),
             ("rest_min", Value::Number(rest_min.max(0.0))),
             ("container_age_d", Value::Number(day.age_d[powder])),
-            ("funnel_height_mm", Value::Number(habits.heights_mm[one_of(habits.heights_mm.len(), rng)])),
+            (
+                "funnel_height_mm",
+                Value::Number(habits.heights_mm[one_of(habits.heights_mm.len(), rng)]),
+            ),
             ("base_diameter_mm", Value::Number([60.0, 80.0, 100.0][one_of(3, rng)])),
             ("poured_mass_g", Value::Number(50.0 + 4.0 * normal(rng))),
             (
                 "vibration_rms_m_s2",
-                Value::Number((0.02 * (0.8 * day.vibration + 0.5 * normal(rng)).exp()).clamp(0.002, 0.3)),
+                Value::Number(
+                    (0.02 * (0.8 * day.vibration + 0.5 * normal(rng)).exp()).clamp(0.002, 0.3),
+                ),
             ),
             ("ioniser_on", Value::Number(f64::from(u8::from(rng.random_bool(habits.ioniser))))),
             ("pressure_hpa", Value::Number(day.pressure_hpa + 0.3 * normal(rng))),
             ("hour_of_day", Value::Number(day.hour + 4.0 * (late + 0.5) * count as f64 / 20.0)),
-            ("lamp_nm", Value::Number([405.0, 450.0, 530.0, 590.0, 630.0, 660.0, 730.0][one_of(7, rng)])),
+            (
+                "lamp_nm",
+                Value::Number([405.0, 450.0, 530.0, 590.0, 630.0, 660.0, 730.0][one_of(7, rng)]),
+            ),
             ("noise_db", Value::Number(50.0 + 6.0 * normal(rng))),
             ("supply_v", Value::Number(day.supply_v + normal(rng))),
             ("bench", text(&["left", "right"], one_of(2, rng))),
@@ -476,7 +527,8 @@ impl Laboratory {
     fn measure(&self, day: usize, runs: &mut [Run]) {
         let mut rng = stream(self.seed, "noise", day);
         let day_deg = self.noise.day_deg * normal(&mut rng);
-        let of_powder: Vec<f64> = self.powders.iter().map(|_| self.noise.day_powder_deg * normal(&mut rng)).collect();
+        let of_powder: Vec<f64> =
+            self.powders.iter().map(|_| self.noise.day_powder_deg * normal(&mut rng)).collect();
         for run in runs {
             let powder = &self.powders[run.powder];
             let repeat = match self.noise.kind {
@@ -495,10 +547,14 @@ impl Laboratory {
             } else {
                 0.0
             };
-            let scatter =
-                self.noise.scatter.as_ref().map_or(1.0, |(factor, strength)| (strength * (factor.at(run) - 0.5)).exp());
+            let scatter = self
+                .noise
+                .scatter
+                .as_ref()
+                .map_or(1.0, |(factor, strength)| (strength * (factor.at(run) - 0.5)).exp());
             let effect = self.effect_deg(run);
-            let noise = day_deg + of_powder[run.powder] + scatter * powder.repeat_sd_deg * repeat + wrong;
+            let noise =
+                day_deg + of_powder[run.powder] + scatter * powder.repeat_sd_deg * repeat + wrong;
             run.repose_deg = powder.mean_deg + effect + noise;
             // A powder that piles steeper flows slower; the method of measurement does not change
             // its flow.
@@ -523,13 +579,19 @@ impl Laboratory {
 
     /// The runs as the chemist writes them down.
     pub fn csv(&self, runs: &[Run]) -> String {
-        let recorded: Vec<&str> =
-            COLUMNS.iter().map(|column| column.name).filter(|name| self.recorded.contains(name)).collect();
+        let recorded: Vec<&str> = COLUMNS
+            .iter()
+            .map(|column| column.name)
+            .filter(|name| self.recorded.contains(name))
+            .collect();
         let mut file = csv::Writer::from_writer(Vec::new());
         file.write_record(["powder", "repose_deg", "session"].iter().chain(&recorded)).unwrap();
         for run in runs {
-            let mut row =
-                vec![self.powders[run.powder].name.clone(), format!("{:.2}", run.repose_deg), self.session(run.day)];
+            let mut row = vec![
+                self.powders[run.powder].name.clone(),
+                format!("{:.2}", run.repose_deg),
+                self.session(run.day),
+            ];
             row.extend(recorded.iter().map(|name| match &run.values[name] {
                 _ if run.forgotten.contains(name) => String::new(),
                 Value::Number(x) => x.to_string(),
@@ -573,7 +635,8 @@ fn date(day: i64) -> String {
 
 /// A separate random stream for every purpose: an FNV-1a hash of the three is the seed.
 pub fn stream(seed: u64, purpose: &str, number: usize) -> Pcg64 {
-    let bytes = seed.to_le_bytes().into_iter().chain((number as u64).to_le_bytes()).chain(purpose.bytes());
+    let bytes =
+        seed.to_le_bytes().into_iter().chain((number as u64).to_le_bytes()).chain(purpose.bytes());
     let step = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
     Pcg64::seed_from_u64(bytes.fold(0xcbf2_9ce4_8422_2325, step))
 }

@@ -34,14 +34,19 @@ fn the_effect_of_each_cause_has_its_size_within_powders() {
             let within = within_powders(&case.runs, &effect);
             // Of 1 deg: only rounding.
             assert!((sd(&within) - case.size_deg).abs() < 1e-9, "{}: {}", case.name, sd(&within));
-            assert!(within.iter().zip(&effect).all(|(a, b)| (a - b).abs() < 1e-9), "{}: no mean of 0", case.name);
+            assert!(
+                within.iter().zip(&effect).all(|(a, b)| (a - b).abs() < 1e-9),
+                "{}: no mean of 0",
+                case.name
+            );
         }
         assert_eq!(case.family, family.name());
         if family != Family::Wild {
             assert_eq!(case.size_deg, if causes.is_empty() { 0.0 } else { 0.75 });
             assert_eq!(
                 causes.len(),
-                [usize::from(!Family::NULLS.contains(&family)), 2][usize::from(family == Family::TwoCauses)]
+                [usize::from(!Family::NULLS.contains(&family)), 2]
+                    [usize::from(family == Family::TwoCauses)]
             );
         }
     }
@@ -49,7 +54,9 @@ fn the_effect_of_each_cause_has_its_size_within_powders() {
 
 #[test]
 fn nulls_have_no_effect_and_name_no_cause() {
-    for (family, seed) in Family::NULLS.iter().flat_map(|family| SEEDS.map(move |seed| (*family, seed))) {
+    for (family, seed) in
+        Family::NULLS.iter().flat_map(|family| SEEDS.map(move |seed| (*family, seed)))
+    {
         let case = case(family, 1.0, seed);
         assert!(case.effect_deg.iter().all(|effect| *effect == 0.0) && case.effect_5_95_deg == 0.0);
         assert!(case.mechanism.is_none() && case.mechanisms.is_empty() && case.covariate.is_none());
@@ -70,7 +77,11 @@ fn the_file_holds_the_campaign_and_what_its_truth_needs() {
             Family::NullRestless => assert_eq!(rows.len(), 60),
             _ => assert_eq!(rows.len(), 200),
         }
-        assert!(case.covariate.iter().all(|covariate| header.contains(covariate)), "{}: {header:?}", case.name);
+        assert!(
+            case.covariate.iter().all(|covariate| header.contains(covariate)),
+            "{}: {header:?}",
+            case.name
+        );
         assert!(!header.iter().any(|name| name == "day"));
         let mut seen: Vec<&String> = rows.iter().map(|row| &row[2]).collect();
         seen.dedup();
@@ -78,7 +89,8 @@ fn the_file_holds_the_campaign_and_what_its_truth_needs() {
         for (row, run) in rows.iter().zip(&case.runs) {
             let angle: f64 = row[1].parse().unwrap();
             assert!((0.0..90.0).contains(&angle), "{}: {angle}", case.name);
-            for (name, text) in header.iter().zip(row).skip(3).filter(|(_, text)| !text.is_empty()) {
+            for (name, text) in header.iter().zip(row).skip(3).filter(|(_, text)| !text.is_empty())
+            {
                 assert_eq!(Value::parse(name, text), run.values[name.as_str()], "{}", case.name);
             }
         }
@@ -90,7 +102,10 @@ fn what_is_measured_scatters_about_the_truth() {
     let campaigns: Vec<Case> = (0..40).map(|seed| case(Family::Humidity, 1.0, seed)).collect();
     let residuals = |case: &Case| -> Vec<f64> {
         let (_, rows) = parsed(&case.csv);
-        rows.iter().zip(&case.noise_free_deg).map(|(row, truth)| row[1].parse::<f64>().unwrap() - truth).collect()
+        rows.iter()
+            .zip(&case.noise_free_deg)
+            .map(|(row, truth)| row[1].parse::<f64>().unwrap() - truth)
+            .collect()
     };
     let all: Vec<f64> = campaigns.iter().flat_map(residuals).collect();
     // Root of the mean square of the five repeat SDs, with 0.5² and 0.4². 8000 runs give it to
@@ -119,17 +134,29 @@ fn covariates_that_are_confounded_went_together() {
         assert!(correlation(&a, &b).abs() > 0.95, "{}", case.name);
         // The logarithms of times must move together as well.
         let [a, b] = [a, b].map(|x| x.into_iter().map(f64::ln_1p).collect::<Vec<_>>());
-        assert!(columns[1] == "container_age_d" || correlation(&a, &b).abs() > 0.93, "{}", case.name);
-        assert!(case.mechanism.is_some() && case.rivals.len() == 1 && !case.rivals.contains(&case.mechanism.unwrap()));
+        assert!(
+            columns[1] == "container_age_d" || correlation(&a, &b).abs() > 0.93,
+            "{}",
+            case.name
+        );
+        assert!(
+            case.mechanism.is_some()
+                && case.rivals.len() == 1
+                && !case.rivals.contains(&case.mechanism.unwrap())
+        );
         assert!(columns.iter().all(|name| parsed(&case.csv).0.iter().any(|it| it == name)));
     }
 }
 
 #[test]
 fn the_change_from_the_5th_to_the_95th_percentile_is_that_of_the_effect() {
-    for (family, seed) in Family::SINGLES.iter().flat_map(|family| SEEDS.map(move |seed| (*family, seed))) {
+    for (family, seed) in
+        Family::SINGLES.iter().flat_map(|family| SEEDS.map(move |seed| (*family, seed)))
+    {
         let case = case(family, 1.0, seed);
-        let Some(covariate) = case.covariate.as_deref() else { panic!("{} has no covariate", case.name) };
+        let Some(covariate) = case.covariate.as_deref() else {
+            panic!("{} has no covariate", case.name)
+        };
         let Some([from, to]) = case.span(covariate) else {
             assert!(case.effect_5_95_deg.is_nan() && covariate == "batch");
             continue;
@@ -143,9 +170,13 @@ fn the_change_from_the_5th_to_the_95th_percentile_is_that_of_the_effect() {
             for run in case.runs.iter().filter(|run| run.powder == powder) {
                 for (text, side) in [(&to, 1.0), (&from, -1.0)] {
                     let mut moved = run.clone();
-                    let value = text.parse().map_or_else(|_| Value::Name(text.clone()), Value::Number);
+                    let value =
+                        text.parse().map_or_else(|_| Value::Name(text.clone()), Value::Number);
                     moved.values.insert(term.factors[0].column(), value);
-                    let product = term.factors.iter().fold(1.0, |product, factor| product * factor.at(&moved));
+                    let product = term
+                        .factors
+                        .iter()
+                        .fold(1.0, |product, factor| product * factor.at(&moved));
                     sum += side * term.scale * term.susceptibility[powder] * product;
                 }
             }
@@ -156,7 +187,11 @@ fn the_change_from_the_5th_to_the_95th_percentile_is_that_of_the_effect() {
             let mut sorted = x.clone();
             sorted.sort_by(f64::total_cmp);
             let from: f64 = from.parse().unwrap();
-            assert!(sorted[9] <= from && from <= sorted[10], "{}: 5th percentile {from}", case.name);
+            assert!(
+                sorted[9] <= from && from <= sorted[10],
+                "{}: 5th percentile {from}",
+                case.name
+            );
         }
     }
 }
@@ -176,8 +211,15 @@ fn the_change_over_two_columns_is_that_of_both_at_once() {
         };
         let [low, high] = [0, 1].map(|end| at(0, &humid[end]) * at(1, &rested[end]));
         let change = term.scale * mean(&term.susceptibility) * (high - low);
-        assert!((case.change_over_spans_deg(&columns).unwrap() - change).abs() < 1e-9, "{}: {change}", case.name);
-        assert!((case.change_over_spans_deg(&columns[..1]).unwrap() - case.effect_5_95_deg).abs() < 1e-12);
+        assert!(
+            (case.change_over_spans_deg(&columns).unwrap() - change).abs() < 1e-9,
+            "{}: {change}",
+            case.name
+        );
+        assert!(
+            (case.change_over_spans_deg(&columns[..1]).unwrap() - case.effect_5_95_deg).abs()
+                < 1e-12
+        );
     }
 }
 
@@ -185,12 +227,19 @@ fn the_change_over_two_columns_is_that_of_both_at_once() {
 fn the_effect_of_a_recorded_cause_depends_on_its_columns_alone() {
     // Runs alike in powder and in all columns of the cause have the same effect, by the uploaded
     // file.
-    for (family, seed) in once(Family::Recorded).chain(Family::SINGLES).flat_map(|f| SEEDS.map(move |seed| (f, seed))) {
+    for (family, seed) in
+        once(Family::Recorded).chain(Family::SINGLES).flat_map(|f| SEEDS.map(move |seed| (f, seed)))
+    {
         let case = case(family, 1.0, seed);
-        let own: Vec<&str> = case.laboratory.terms[0].factors.iter().map(|factor| factor.column()).collect();
+        let own: Vec<&str> =
+            case.laboratory.terms[0].factors.iter().map(|factor| factor.column()).collect();
         let mut of: BTreeMap<String, f64> = BTreeMap::new();
         for (run, effect) in case.runs.iter().zip(&case.effect_deg) {
-            let key = format!("{} {:?}", run.powder, own.iter().map(|name| &run.values[name]).collect::<Vec<_>>());
+            let key = format!(
+                "{} {:?}",
+                run.powder,
+                own.iter().map(|name| &run.values[name]).collect::<Vec<_>>()
+            );
             assert!((*of.entry(key).or_insert(*effect) - *effect).abs() < 1e-12);
         }
     }
@@ -201,7 +250,9 @@ fn families_have_their_signs_and_places() {
     for seed in SEEDS {
         let humid = case(Family::Humidity, 1.0, seed);
         assert!(humid.effect_5_95_deg > 0.0);
-        let felt = |case: &Case| case.laboratory.terms[0].susceptibility.iter().filter(|felt| **felt != 0.0).count();
+        let felt = |case: &Case| {
+            case.laboratory.terms[0].susceptibility.iter().filter(|felt| **felt != 0.0).count()
+        };
         assert!(felt(&humid) >= 3);
         assert_eq!(felt(&case(Family::Deliquescence, 1.0, seed)), 2);
         let dry = case(Family::Charge, 1.0, seed);
@@ -212,16 +263,26 @@ fn families_have_their_signs_and_places() {
         assert!(case(Family::FunnelHeight, 1.0, seed).effect_5_95_deg < 0.0);
         let ageing = case(Family::HumidAgeing, 1.0, seed);
         // Nothing in the driest air, and nothing without rest.
-        let centre = |run: &Run| -ageing.laboratory.terms[0].scale * ageing.laboratory.terms[0].centre[run.powder];
+        let centre = |run: &Run| {
+            -ageing.laboratory.terms[0].scale * ageing.laboratory.terms[0].centre[run.powder]
+        };
         let mut run = ageing.runs[0].clone();
         run.values.insert("relative_humidity_pct", Value::Number(20.0));
         assert!((ageing.laboratory.effect_deg(&run) - centre(&run)).abs() < 1e-9);
         let outside = [Family::Recorded, Family::Unrecorded].map(|family| case(family, 1.0, seed));
         assert!(outside.iter().all(|case| case.mechanisms.is_empty()));
-        assert!(outside[0].form_class.is_some() && outside[0].covariate.is_some() && outside[0].also_right.is_empty());
+        assert!(
+            outside[0].form_class.is_some()
+                && outside[0].covariate.is_some()
+                && outside[0].also_right.is_empty()
+        );
         assert!(outside[1].also_right == ["unrecorded"] && outside[1].covariate.is_none());
         let two = case(Family::TwoCauses, 1.0, seed);
-        assert!(two.mechanism.is_none() && two.mechanisms.len() == 2 && two.mechanisms[0] != two.mechanisms[1]);
+        assert!(
+            two.mechanism.is_none()
+                && two.mechanisms.len() == 2
+                && two.mechanisms[0] != two.mechanisms[1]
+        );
     }
 }
 
@@ -245,8 +306,18 @@ fn later_days_come_from_the_same_laboratory() {
 fn an_experiment_sets_what_it_was_asked_to_set() {
     let case = case(Family::Confounded, 1.0, 1);
     let settings = [
-        setting(&[("powder", "salt"), ("relative_humidity_pct", "35"), ("container_age_d", "0"), ("session", "a")]),
-        setting(&[("powder", "salt"), ("relative_humidity_pct", "65"), ("container_age_d", "0"), ("session", "b")]),
+        setting(&[
+            ("powder", "salt"),
+            ("relative_humidity_pct", "35"),
+            ("container_age_d", "0"),
+            ("session", "a"),
+        ]),
+        setting(&[
+            ("powder", "salt"),
+            ("relative_humidity_pct", "65"),
+            ("container_age_d", "0"),
+            ("session", "b"),
+        ]),
         setting(&[("relative_humidity_pct", "65"), ("ioniser_on", "1"), ("session", "a")]),
     ];
     let after = case.after_experiment(&settings);

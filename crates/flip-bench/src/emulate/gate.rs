@@ -164,7 +164,8 @@ impl Slide {
     pub fn repair(&self) {
         let mut board = self.locked();
         let (was_unplugged, was_jammed) = (board.is_unplugged, board.is_jammed);
-        (board.is_jammed, board.is_silent, board.is_unplugged, board.pending) = (false, false, false, None);
+        (board.is_jammed, board.is_silent, board.is_unplugged, board.pending) =
+            (false, false, false, None);
         if was_unplugged {
             board.reset();
         } else if was_jammed {
@@ -281,7 +282,9 @@ impl Board {
             match &self.newest {
                 None => return format!("{seq} ERR HELLO"),
                 Some((newest, reply)) if *newest == seq => return reply.clone(),
-                Some((newest, _)) if seq.wrapping_sub(*newest) > u16::MAX / 2 => return format!("{seq} ERR OLD"),
+                Some((newest, _)) if seq.wrapping_sub(*newest) > u16::MAX / 2 => {
+                    return format!("{seq} ERR OLD");
+                }
                 Some(_) => {}
             }
         }

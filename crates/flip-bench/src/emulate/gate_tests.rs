@@ -36,7 +36,10 @@ impl Bench {
     /// How many lines with this word were sent.
     fn sent(&self, word: &str) -> usize {
         let lines = self.lines.lock().unwrap();
-        lines.iter().filter(|line| line.direction == Direction::Sent && line.text.contains(word)).count()
+        lines
+            .iter()
+            .filter(|line| line.direction == Direction::Sent && line.text.contains(word))
+            .count()
     }
 
     fn wait_until_closed(&self, within: Duration) {
@@ -98,7 +101,9 @@ fn a_line_that_comes_again_is_answered_again_and_obeyed_once() {
     assert_eq!(tell("2 OPEN 500"), framed("2 ERR OLD"));
     assert_eq!(tell("5 OPEN 500"), framed("5 OK MOVING 500 - ASKED"));
     assert_eq!(slide.opening(), 0.0);
-    assert!(opened.starts_with("2 OK MOVING 0 C -") && closed.starts_with("4 OK MOVING 500 - ASKED"));
+    assert!(
+        opened.starts_with("2 OK MOVING 0 C -") && closed.starts_with("4 OK MOVING 500 - ASKED")
+    );
     // Numbers wrap around.
     assert!(tell("32772 STATUS").starts_with("32772 OK"));
     assert!(tell("65535 STATUS").starts_with("65535 OK"));
@@ -176,7 +181,8 @@ fn dropping_the_driver_closes_the_gate() {
     drop(driver);
     assert_eq!(slide.opening(), 0.0);
     // A board that was not reset sends nothing unsolicited, and is queried.
-    let mut again = Gate::open_within(port.address(), Duration::from_millis(20), Tap::none()).unwrap();
+    let mut again =
+        Gate::open_within(port.address(), Duration::from_millis(20), Tap::none()).unwrap();
     assert_eq!(again.status().unwrap().closed_for, Some(Why::Asked));
 }
 
@@ -185,7 +191,11 @@ fn a_line_that_is_lost_or_spoilt_is_sent_again_and_obeyed_once() {
     for fault in [Fault::LostLine, Fault::GarbledLine, Fault::ChecksumError] {
         let mut bench = Bench::new();
         bench.slide.cause(fault, 2);
-        assert_eq!(bench.driver.open_gate(Opening::FULL, LONG).unwrap().state, State::Open, "{fault:?}");
+        assert_eq!(
+            bench.driver.open_gate(Opening::FULL, LONG).unwrap().state,
+            State::Open,
+            "{fault:?}"
+        );
         assert_eq!(bench.sent("OPEN"), 3, "{fault:?}");
         bench.slide.cause(fault, 30);
         let error = bench.driver.status().unwrap_err();

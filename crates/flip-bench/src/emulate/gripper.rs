@@ -226,7 +226,10 @@ impl Body {
     /// Update to now: fingers that met the spoon hold it.
     fn settle(&mut self) {
         let now_s = self.clock.now_s();
-        if self.spoon == Spoon::InRack && self.motion.to == SPOON_AT && now_s >= self.motion.ends_s() {
+        if self.spoon == Spoon::InRack
+            && self.motion.to == SPOON_AT
+            && now_s >= self.motion.ends_s()
+        {
             self.spoon = Spoon::Held;
         }
     }
@@ -234,7 +237,8 @@ impl Body {
     fn head_for(&mut self, to: f64) {
         let now_s = self.clock.now_s();
         let from = self.motion.at(now_s);
-        let is_in_the_way = matches!(self.spoon, Spoon::InRack | Spoon::Held) && from <= SPOON_AT && to > SPOON_AT;
+        let is_in_the_way =
+            matches!(self.spoon, Spoon::InRack | Spoon::Held) && from <= SPOON_AT && to > SPOON_AT;
         let to = if is_in_the_way { SPOON_AT } else { to };
         self.motion = Motion { from, to, began_s: now_s, per_second: self.motion.per_second };
     }
@@ -287,10 +291,15 @@ impl Body {
             (true, false) if self.motion.to == SPOON_AT && self.requested > SPOON_AT as u8 => 2,
             (true, false) => 3,
         };
-        let state = u8::from(self.is_active) | u8::from(self.follows) << 3 | activation << 4 | object << 6;
+        let state =
+            u8::from(self.is_active) | u8::from(self.follows) << 3 | activation << 4 | object << 6;
         let current = if is_moving { MOVING_CURRENT } else { 0 };
-        let seen = [state, 0, self.fault, self.requested, self.motion.at(now_s).round() as u8, current];
-        wait_out(&self.clock, self.motion.ends_s().max(if self.is_active { self.ready_at_s } else { 0.0 }));
+        let seen =
+            [state, 0, self.fault, self.requested, self.motion.at(now_s).round() as u8, current];
+        wait_out(
+            &self.clock,
+            self.motion.ends_s().max(if self.is_active { self.ready_at_s } else { 0.0 }),
+        );
         seen
     }
 
@@ -298,8 +307,10 @@ impl Body {
         match *request {
             Request::Read { function, first, count } => {
                 let registers = self.registers();
-                let from = usize::from(first).checked_sub(usize::from(STATUS)).map(|skipped| skipped * 2);
-                let asked = from.and_then(|from| registers.get(from..from + usize::from(count) * 2));
+                let from =
+                    usize::from(first).checked_sub(usize::from(STATUS)).map(|skipped| skipped * 2);
+                let asked =
+                    from.and_then(|from| registers.get(from..from + usize::from(count) * 2));
                 match asked {
                     Some(asked) => [&[function, asked.len() as u8], asked].concat(),
                     None => vec![function | 0x80, ILLEGAL_ADDRESS],
@@ -372,7 +383,9 @@ impl Talker for EmulatedGripper {
     fn hear(&mut self, bytes: &[u8], say: &mut dyn FnMut(&[u8])) {
         self.say_late(say);
         self.partial.extend_from_slice(bytes);
-        while let Some(length) = frame_length(&self.partial).filter(|length| *length <= self.partial.len()) {
+        while let Some(length) =
+            frame_length(&self.partial).filter(|length| *length <= self.partial.len())
+        {
             let frame: Vec<u8> = self.partial.drain(..length).collect();
             self.take(&frame, say);
         }

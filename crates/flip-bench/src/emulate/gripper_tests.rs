@@ -38,7 +38,11 @@ impl Bench {
 
     fn sent(&self) -> Vec<String> {
         let frames = self.frames.lock().unwrap();
-        frames.iter().filter(|frame| frame.direction == Direction::Sent).map(|frame| frame.text.clone()).collect()
+        frames
+            .iter()
+            .filter(|frame| frame.direction == Direction::Sent)
+            .map(|frame| frame.text.clone())
+            .collect()
     }
 
     fn writes(&self) -> usize {
@@ -75,9 +79,12 @@ fn the_frames_of_the_manual_pass_both_ways() {
         let received = frames.iter().filter(|frame| frame.direction == Direction::Received);
         received.map(|frame| frame.text.clone()).collect::<Vec<_>>().join(" ")
     };
-    for golden in
-        ["09 10 03 E8 00 03 01 30", "09 03 02 11 00 55 D5", "09 03 02 31 00 4C 15", "09 03 06 B9 00 00 FF BD 00 1D 7C"]
-    {
+    for golden in [
+        "09 10 03 E8 00 03 01 30",
+        "09 03 02 11 00 55 D5",
+        "09 03 02 31 00 4C 15",
+        "09 03 06 B9 00 00 FF BD 00 1D 7C",
+    ] {
         assert!(received.contains(golden), "{golden} is not in {received}");
     }
 }
@@ -110,7 +117,10 @@ fn a_spoon_is_gripped_carried_and_put_back() {
     assert_eq!((open.object, bench.fingers.spoon()), (Object::AtPosition, Spoon::InRack));
     bench.fingers.set_at_rack(false);
     let empty = bench.driver.grip(Effort::FULL).unwrap();
-    assert_eq!((empty.object, empty.holds(), bench.fingers.spoon()), (Object::AtPosition, false, Spoon::Away));
+    assert_eq!(
+        (empty.object, empty.holds(), bench.fingers.spoon()),
+        (Object::AtPosition, false, Spoon::Away)
+    );
 }
 
 #[test]
@@ -136,7 +146,10 @@ fn activation_is_refused_while_a_spoon_is_held_and_nothing_is_sent_that_moves() 
     let refused = |bench: &mut Bench| {
         let before = bench.writes();
         let error = bench.driver.activate(no_spoon()).unwrap_err();
-        assert!(matches!(&error, DeviceError::Forbidden { cause, .. } if cause.contains("hold a spoon")), "{error}");
+        assert!(
+            matches!(&error, DeviceError::Forbidden { cause, .. } if cause.contains("hold a spoon")),
+            "{error}"
+        );
         assert_eq!((bench.writes(), bench.fingers.spoon()), (before, Spoon::Held));
     };
     refused(&mut Bench::holding());
@@ -162,7 +175,9 @@ fn nobody_activates_without_a_name_and_an_active_gripper_is_left_alone() {
 
 #[test]
 fn a_read_is_repeated_once() {
-    for fault in [Fault::CrcError, Fault::WrongSlave, Fault::LostFrame, Fault::LostRequest, Fault::SlowReply] {
+    for fault in
+        [Fault::CrcError, Fault::WrongSlave, Fault::LostFrame, Fault::LostRequest, Fault::SlowReply]
+    {
         let mut bench = Bench::holding();
         bench.fingers.cause(fault, 1);
         assert!(bench.driver.holds_spoon().unwrap(), "{fault:?}");
@@ -210,7 +225,10 @@ fn a_fault_code_stops_every_motion_until_it_is_activated_again() {
     let mut bench = Bench::active();
     bench.fingers.cause(Fault::FaultCode, 0);
     let error = bench.driver.grip(Effort::FULL).unwrap_err();
-    assert!(matches!(&error, DeviceError::Faulted { cause, .. } if cause.contains("0x0e")), "{error}");
+    assert!(
+        matches!(&error, DeviceError::Faulted { cause, .. } if cause.contains("0x0e")),
+        "{error}"
+    );
     assert!(bench.driver.activate(no_spoon()).unwrap().activated);
     assert!(bench.driver.grip(Effort::FULL).is_ok());
 }
@@ -221,7 +239,10 @@ fn a_dropped_spoon_is_seen() {
     bench.fingers.cause(Fault::DroppedSpoon, 0);
     bench.driver.status().unwrap();
     let status = bench.driver.status().unwrap();
-    assert_eq!((status.object, status.holds(), bench.fingers.spoon()), (Object::AtPosition, false, Spoon::Dropped));
+    assert_eq!(
+        (status.object, status.holds(), bench.fingers.spoon()),
+        (Object::AtPosition, false, Spoon::Dropped)
+    );
 }
 
 #[test]
@@ -233,7 +254,10 @@ fn a_gripper_without_supply_is_silent_and_one_without_a_wire_is_lost() {
     assert_eq!(bench.fingers.spoon(), Spoon::Held);
     bench.port.unplug();
     assert!(matches!(bench.driver.status(), Err(DeviceError::Lost { .. })));
-    assert!(matches!(Gripper::open("/dev/no-such-port", Tap::none()), Err(DeviceError::Lost { .. })));
+    assert!(matches!(
+        Gripper::open("/dev/no-such-port", Tap::none()),
+        Err(DeviceError::Lost { .. })
+    ));
 }
 
 #[test]

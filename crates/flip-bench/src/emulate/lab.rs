@@ -69,7 +69,11 @@ impl Laboratory {
     ///
     /// # Errors
     /// The system has no pseudo-terminal, port or thread left.
-    pub fn start(settings: Settings, clock: Clock, spoon: Box<dyn Powder>) -> std::io::Result<Self> {
+    pub fn start(
+        settings: Settings,
+        clock: Clock,
+        spoon: Box<dyn Powder>,
+    ) -> std::io::Result<Self> {
         let pan = Pan::holding(settings.vial.mass_mg, clock.clone());
         let balance = Balance::start(settings.balance.clone(), pan.clone(), Socket::Pty)?;
         let arm = Arm::start(settings.arm, pan.clone(), spoon)?;

@@ -63,15 +63,20 @@ impl Pan {
     /// ```
     pub fn felt_mg(&self, tau_s: f64) -> f64 {
         let now = self.clock.now_s();
-        let felt = |change: &Change| change.mass_mg * (1.0 - libm::exp(-(now - change.at_s) / tau_s));
+        let felt =
+            |change: &Change| change.mass_mg * (1.0 - libm::exp(-(now - change.at_s) / tau_s));
         self.locked().iter().filter(|change| change.at_s <= now).map(felt).sum()
     }
 
     /// Seconds since the load last changed.
     pub fn quiet_s(&self) -> f64 {
         let now = self.clock.now_s();
-        let last =
-            self.locked().iter().map(|change| change.at_s).filter(|at| *at <= now).fold(f64::NEG_INFINITY, f64::max);
+        let last = self
+            .locked()
+            .iter()
+            .map(|change| change.at_s)
+            .filter(|at| *at <= now)
+            .fold(f64::NEG_INFINITY, f64::max);
         now - last
     }
 

@@ -46,7 +46,8 @@ impl Port {
         let controller = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&controller)?;
         unlockpt(&controller)?;
-        let path = ptsname(&controller, Vec::new())?.into_string().map_err(std::io::Error::other)?;
+        let path =
+            ptsname(&controller, Vec::new())?.into_string().map_err(std::io::Error::other)?;
         // Kept open, so that the device lives on while nobody has the port open.
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
         let terminal = rustix::fs::open(path.as_str(), flags, Mode::empty())?;
@@ -68,10 +69,15 @@ impl Port {
         Self::serve(address, move |unplugged| serve_tcp(&listener, device, unplugged))
     }
 
-    fn serve(address: String, work: impl FnOnce(&AtomicBool) + Send + 'static) -> std::io::Result<Self> {
+    fn serve(
+        address: String,
+        work: impl FnOnce(&AtomicBool) + Send + 'static,
+    ) -> std::io::Result<Self> {
         let unplugged = Arc::new(AtomicBool::new(false));
         let flag = unplugged.clone();
-        let thread = std::thread::Builder::new().name("emulated device".into()).spawn(move || work(&flag))?;
+        let thread = std::thread::Builder::new()
+            .name("emulated device".into())
+            .spawn(move || work(&flag))?;
         Ok(Self { address, unplugged, thread: Some(thread) })
     }
 
@@ -95,7 +101,12 @@ impl Drop for Port {
     }
 }
 
-fn serve_pty(controller: OwnedFd, terminal: OwnedFd, mut device: impl Talker, unplugged: &AtomicBool) {
+fn serve_pty(
+    controller: OwnedFd,
+    terminal: OwnedFd,
+    mut device: impl Talker,
+    unplugged: &AtomicBool,
+) {
     let _kept_open = terminal;
     let mut stream = File::from(controller);
     device.connected();
@@ -118,7 +129,8 @@ fn serve_tcp(listener: &TcpListener, mut device: impl Talker, unplugged: &Atomic
             std::thread::sleep(IDLE);
             continue;
         };
-        if stream.set_nonblocking(false).and_then(|()| stream.set_read_timeout(Some(IDLE))).is_err() {
+        if stream.set_nonblocking(false).and_then(|()| stream.set_read_timeout(Some(IDLE))).is_err()
+        {
             continue;
         }
         let _ = stream.set_nodelay(true);
@@ -133,14 +145,23 @@ fn listen(device: &mut impl Talker, stream: &mut (impl Read + Write)) -> std::io
     match stream.read(&mut buffer) {
         Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
         Ok(count) => converse(device, stream, Some(&buffer[..count])),
-        Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+        Err(error)
+            if matches!(
+                error.kind(),
+                ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
+            ) =>
+        {
             converse(device, stream, None)
         }
         Err(error) => Err(error),
     }
 }
 
-fn converse(device: &mut impl Talker, stream: &mut impl Write, heard: Option<&[u8]>) -> std::io::Result<()> {
+fn converse(
+    device: &mut impl Talker,
+    stream: &mut impl Write,
+    heard: Option<&[u8]>,
+) -> std::io::Result<()> {
     let mut failed = Ok(());
     let mut say = |bytes: &[u8]| {
         if let Err(error) = stream.write_all(bytes).and_then(|()| stream.flush()) {

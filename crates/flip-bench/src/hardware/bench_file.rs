@@ -71,7 +71,8 @@ impl ArmAddress {
     /// Timeouts for its answers.
     pub fn deadlines(&self) -> Deadlines {
         let usual = Deadlines::default();
-        let motion = self.motion_s.and_then(|s| Duration::try_from_secs_f64(s).ok()).unwrap_or(usual.motion);
+        let motion =
+            self.motion_s.and_then(|s| Duration::try_from_secs_f64(s).ok()).unwrap_or(usual.motion);
         Deadlines { motion, idle: usual.idle.max(motion), ..usual }
     }
 }
@@ -107,7 +108,13 @@ pub struct Readings {
 
 impl Default for Readings {
     fn default() -> Self {
-        Self { noise_mg: 0.1, fixed_wait_s: None, settle_max_s: 6.0, stand_max_s: 20.0, life_s: 60.0 }
+        Self {
+            noise_mg: 0.1,
+            fixed_wait_s: None,
+            settle_max_s: 6.0,
+            stand_max_s: 20.0,
+            life_s: 60.0,
+        }
     }
 }
 
@@ -117,26 +124,40 @@ impl BenchFile {
     /// # Errors
     /// What is wrong with it, by line or field.
     pub fn parse(text: &str) -> Result<Self, FieldError> {
-        let file: Self = toml::from_str(text).map_err(|error| FieldError::new("bench file", error.to_string()))?;
+        let file: Self = toml::from_str(text)
+            .map_err(|error| FieldError::new("bench file", error.to_string()))?;
         file.checked()
     }
 
     fn checked(mut self) -> Result<Self, FieldError> {
-        let within =
-            |part: &'static str| move |e: FieldError| FieldError::new(format!("{part}.{}", e.field), e.message);
+        let within = |part: &'static str| {
+            move |e: FieldError| FieldError::new(format!("{part}.{}", e.field), e.message)
+        };
         self.balance = self.balance.checked().map_err(within("balance"))?;
         if !self.arm.url.starts_with("http://") {
-            return Err(FieldError::new("arm.url", "must be http://host:port of the arm's driver process"));
+            return Err(FieldError::new(
+                "arm.url",
+                "must be http://host:port of the arm's driver process",
+            ));
         }
         bounded("arm.motion_s", self.arm.motion_s.unwrap_or(30.0), 1.0, 600.0, "s")?;
         self.spoon = self.spoon.checked().map_err(within("spoon"))?;
         for (part, address) in [("gripper", &self.gripper), ("gate", &self.gate)] {
             if address.as_ref().is_some_and(|it| it.port.trim().is_empty()) {
-                return Err(FieldError::new(format!("{part}.port"), "must be a path, as /dev/ttyUSB1"));
+                return Err(FieldError::new(
+                    format!("{part}.port"),
+                    "must be a path, as /dev/ttyUSB1",
+                ));
             }
         }
         bounded("readings.noise_mg", self.readings.noise_mg, 0.0, 100.0, "mg")?;
-        bounded("readings.fixed_wait_s", self.readings.fixed_wait_s.unwrap_or(1.0), 0.1, 60.0, "s")?;
+        bounded(
+            "readings.fixed_wait_s",
+            self.readings.fixed_wait_s.unwrap_or(1.0),
+            0.1,
+            60.0,
+            "s",
+        )?;
         bounded("readings.settle_max_s", self.readings.settle_max_s, 0.5, 60.0, "s")?;
         bounded("readings.stand_max_s", self.readings.stand_max_s, 0.5, 120.0, "s")?;
         bounded("readings.life_s", self.readings.life_s, 0.0, 600.0, "s")?;
@@ -149,8 +170,7 @@ impl BenchFile {
 mod tests {
     use super::*;
 
-    const LEAST: &str =
-        "[balance]\ndialect = \"sbi\"\nport = \"/dev/ttyS0\"\n[arm]\nurl = \"http://127.0.0.1:50061\"\n";
+    const LEAST: &str = "[balance]\ndialect = \"sbi\"\nport = \"/dev/ttyS0\"\n[arm]\nurl = \"http://127.0.0.1:50061\"\n";
 
     #[test]
     fn a_balance_and_an_arm_make_a_bench_and_it_is_written_as_it_is_read() {

@@ -52,7 +52,9 @@ impl Clock {
     pub fn wait_s(&self, seconds: f64) {
         let seconds = seconds.max(0.0);
         match self {
-            Self::Wall { speed, .. } => std::thread::sleep(Duration::from_secs_f64(seconds / speed)),
+            Self::Wall { speed, .. } => {
+                std::thread::sleep(Duration::from_secs_f64(seconds / speed))
+            }
             Self::Virtual(passed_us) => {
                 passed_us.fetch_add((seconds * 1e6).round() as u64, Ordering::SeqCst);
             }

@@ -64,7 +64,9 @@ impl DeviceError {
     pub fn advice(&self) -> &'static str {
         match self {
             Self::Silent { .. } => "check power, cables and the port's settings",
-            Self::Garbled { .. } => "check the dialect, the port's settings and what the bench file says of the device",
+            Self::Garbled { .. } => {
+                "check the dialect, the port's settings and what the bench file says of the device"
+            }
             Self::Lost { cause, .. } => why_lost(cause),
             Self::Faulted { .. } => "look at the device",
             Self::Forbidden { .. } => "do first what it says",
@@ -86,7 +88,10 @@ const LOST: [(&str, &str); 8] = [
         "this user may not open the port: add it to the port's group (often dialout) and log in again",
     ),
     ("no such file", "there is no such port: is its plug in? `ls /dev/serial/by-id` lists what is"),
-    ("no such device", "there is no such port: is its plug in? `ls /dev/serial/by-id` lists what is"),
+    (
+        "no such device",
+        "there is no such port: is its plug in? `ls /dev/serial/by-id` lists what is",
+    ),
     ("busy", "another program has the port open: end it first"),
     (
         "connection refused",
@@ -100,7 +105,10 @@ const LOST: [(&str, &str); 8] = [
 fn why_lost(cause: &str) -> &'static str {
     let cause = cause.to_ascii_lowercase();
     let known = LOST.iter().find(|(words, _)| cause.contains(words));
-    known.map_or("check the address in the bench file, and that nothing else uses it", |(_, advice)| advice)
+    known.map_or(
+        "check the address in the bench file, and that nothing else uses it",
+        |(_, advice)| advice,
+    )
 }
 
 #[cfg(test)]
@@ -109,7 +117,9 @@ mod tests {
 
     #[test]
     fn a_port_that_cannot_be_opened_has_advice_of_its_own() {
-        let advice = |cause: &str| DeviceError::Lost { device: "the balance", cause: cause.to_owned() }.advice();
+        let advice = |cause: &str| {
+            DeviceError::Lost { device: "the balance", cause: cause.to_owned() }.advice()
+        };
         assert!(advice("/dev/ttyUSB0: Permission denied").contains("group"));
         assert!(advice("/dev/ttyUSB7: No such file or directory").contains("no such port"));
         assert!(advice("tcp://h:1: Connection refused (os error 111)").contains("nothing listens"));
@@ -119,7 +129,10 @@ mod tests {
     #[test]
     fn a_silent_balance_may_be_in_standby_and_another_device_may_not() {
         let silent = |device: &'static str| DeviceError::Silent { device }.to_string();
-        assert_eq!(silent("the balance"), "the balance does not answer: it may be in standby: switch it on");
+        assert_eq!(
+            silent("the balance"),
+            "the balance does not answer: it may be in standby: switch it on"
+        );
         assert_eq!(silent("the gate"), "the gate does not answer");
     }
 }

@@ -9,7 +9,9 @@
 
 mod protocol;
 
-pub use protocol::{GateStatus, Refusal, Reply, Said, State, VERSION, Why, framed, number, parse, unframed};
+pub use protocol::{
+    GateStatus, Refusal, Reply, Said, State, VERSION, Why, framed, number, parse, unframed,
+};
 
 use super::DeviceError;
 use super::line::{Line, Parity, Serial};
@@ -78,7 +80,8 @@ impl Gate {
     /// # Errors
     /// As for [`Gate::open`].
     pub fn open_within(port: &str, boot: Duration, tap: Tap) -> Result<Self, DeviceError> {
-        let mut wire = Wire { line: Line::open(DEVICE, port, &SERIAL, tap)?, seq: 0, trouble: None };
+        let mut wire =
+            Wire { line: Line::open(DEVICE, port, &SERIAL, tap)?, seq: 0, trouble: None };
         wire.await_hello(boot)?;
         wire.hello()?;
         Ok(Self { wire: Arc::new(Mutex::new(wire)), beats: None })
@@ -104,7 +107,11 @@ impl Gate {
     /// # Errors
     /// [`DeviceError::Faulted`] when the slide does not arrive; the line failed. The gate is then
     /// commanded to close, and closes anyway without heartbeats.
-    pub fn open_gate(&mut self, opening: Opening, at_most: Duration) -> Result<GateStatus, DeviceError> {
+    pub fn open_gate(
+        &mut self,
+        opening: Opening,
+        at_most: Duration,
+    ) -> Result<GateStatus, DeviceError> {
         let opened = self.opened(opening, at_most);
         if opened.is_err() {
             // The caller must get the first error.
@@ -124,7 +131,10 @@ impl Gate {
         let status = self.arrival()?;
         match status.state {
             State::Open => Ok(status),
-            _ => Err(faulted(format!("the slide does not open, {}: look for powder in its guide", in_words(&status)))),
+            _ => Err(faulted(format!(
+                "the slide does not open, {}: look for powder in its guide",
+                in_words(&status)
+            ))),
         }
     }
 
@@ -148,7 +158,10 @@ impl Gate {
         let status = self.arrival()?;
         match status.state {
             State::Closed => Ok(status),
-            _ => Err(faulted(format!("the slide does not close, {}: powder may flow", in_words(&status)))),
+            _ => Err(faulted(format!(
+                "the slide does not close, {}: powder may flow",
+                in_words(&status)
+            ))),
         }
     }
 
@@ -186,7 +199,9 @@ impl Wire {
         let until = Instant::now() + boot;
         loop {
             match self.line.receive(until.saturating_duration_since(Instant::now())) {
-                Ok(line) if matches!(parse(&line), Ok(Reply { said: Said::Hi(..), .. })) => return Ok(()),
+                Ok(line) if matches!(parse(&line), Ok(Reply { said: Said::Hi(..), .. })) => {
+                    return Ok(());
+                }
                 // A starting board may send noise.
                 Ok(_) | Err(DeviceError::Garbled { .. }) => {}
                 Err(DeviceError::Silent { .. }) => return Ok(()),
@@ -214,7 +229,9 @@ impl Wire {
             Ok(Said::Ok(GateStatus { closed_for: Some(why), .. })) => {
                 Err(faulted(format!("it closed by itself ({why:?})")))
             }
-            Ok(Said::Ok(_)) | Err(DeviceError::Silent { .. } | DeviceError::Garbled { .. }) => Ok(()),
+            Ok(Said::Ok(_)) | Err(DeviceError::Silent { .. } | DeviceError::Garbled { .. }) => {
+                Ok(())
+            }
             Ok(other) => Err(unexpected(other)),
             Err(error) => Err(error),
         }
@@ -241,7 +258,9 @@ impl Wire {
         for _ in 0..sends_max {
             self.line.send(line.as_bytes())?;
             match self.answer() {
-                Err(error @ (DeviceError::Silent { .. } | DeviceError::Garbled { .. })) => failure = error,
+                Err(error @ (DeviceError::Silent { .. } | DeviceError::Garbled { .. })) => {
+                    failure = error
+                }
                 other => return other,
             }
         }
@@ -283,7 +302,9 @@ impl Beats {
         let (stop, stopped) = channel();
         let until = Instant::now() + at_most.min(OPEN_MAX);
         let beat = move || {
-            while Instant::now() < until && stopped.recv_timeout(BEAT_EVERY) == Err(RecvTimeoutError::Timeout) {
+            while Instant::now() < until
+                && stopped.recv_timeout(BEAT_EVERY) == Err(RecvTimeoutError::Timeout)
+            {
                 let mut wire = locked(&wire);
                 if let Err(trouble) = wire.beat() {
                     wire.trouble = Some(trouble);
@@ -292,7 +313,8 @@ impl Beats {
             }
         };
         let thread = std::thread::Builder::new().name("gate heartbeat".into()).spawn(beat);
-        let thread = thread.map_err(|error| faulted(format!("no thread for its heartbeats: {error}")))?;
+        let thread =
+            thread.map_err(|error| faulted(format!("no thread for its heartbeats: {error}")))?;
         Ok(Self { stop: Some(stop), thread: Some(thread) })
     }
 }

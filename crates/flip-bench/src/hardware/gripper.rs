@@ -116,7 +116,10 @@ impl NoSpoon {
     /// Nobody is named.
     pub fn seen_by(person: &str) -> Result<Self, FieldError> {
         if person.trim().is_empty() {
-            return Err(FieldError::new("seen_by", "must name the person who looked between the fingers"));
+            return Err(FieldError::new(
+                "seen_by",
+                "must name the person who looked between the fingers",
+            ));
         }
         Ok(Self(()))
     }
@@ -136,7 +139,8 @@ pub fn parse(registers: &[u8]) -> Result<GripperStatus, DeviceError> {
     if activation == 2 {
         return Err(garbled(registers));
     }
-    let object = [Object::None, Object::Opening, Object::Closing, Object::AtPosition][usize::from(state >> 6)];
+    let object = [Object::None, Object::Opening, Object::Closing, Object::AtPosition]
+        [usize::from(state >> 6)];
     let follows = state & GO != 0;
     Ok(GripperStatus {
         activated: is_set && activation == 3,
@@ -184,7 +188,8 @@ impl Gripper {
     /// # Errors
     /// [`DeviceError::Lost`] with the reason.
     pub fn open(port: &str, tap: Tap) -> Result<Self, DeviceError> {
-        let lost = |cause: String| DeviceError::Lost { device: DEVICE, cause: format!("{port}: {cause}") };
+        let lost =
+            |cause: String| DeviceError::Lost { device: DEVICE, cause: format!("{port}: {cause}") };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(|error| lost(error.to_string()))?;
         let wire = {
@@ -256,7 +261,8 @@ impl Gripper {
         while self.read(1)?[0] >> 4 & 3 != 3 {
             if Instant::now() >= until {
                 return Err(faulted(
-                    "activation does not complete: look between the fingers and at the supply".to_owned(),
+                    "activation does not complete: look between the fingers and at the supply"
+                        .to_owned(),
                 ));
             }
             std::thread::sleep(ASK_EVERY);
@@ -280,10 +286,14 @@ impl Gripper {
                     "take it out by hand, switch the gripper's supply off and on, and confirm that it was taken out"
                 }
             };
-            return Err(forbidden(format!("activation opens and closes the fingers, and they hold a spoon; {first}")));
+            return Err(forbidden(format!(
+                "activation opens and closes the fingers, and they hold a spoon; {first}"
+            )));
         }
         if status.moving {
-            return Err(forbidden("the fingers are moving; wait until they stand still, then activate".to_owned()));
+            return Err(forbidden(
+                "the fingers are moving; wait until they stand still, then activate".to_owned(),
+            ));
         }
         Ok(())
     }
@@ -293,7 +303,8 @@ impl Gripper {
         let before = self.status()?;
         if !before.activated {
             return Err(forbidden(
-                "it is not activated; take any spoon out of the fingers, then activate it".to_owned(),
+                "it is not activated; take any spoon out of the fingers, then activate it"
+                    .to_owned(),
             ));
         }
         check_fault(&before)?;
@@ -318,11 +329,15 @@ impl Gripper {
             }
             if !took_it && asked.elapsed() >= ECHO {
                 return Err(faulted(
-                    "it did not take the order to move: look at the fingers, then ask again".to_owned(),
+                    "it did not take the order to move: look at the fingers, then ask again"
+                        .to_owned(),
                 ));
             }
             if asked.elapsed() >= MOTION_MAX {
-                return Err(faulted(format!("the fingers do not come to rest, they are at {} of 255", now.position)));
+                return Err(faulted(format!(
+                    "the fingers do not come to rest, they are at {} of 255",
+                    now.position
+                )));
             }
             std::thread::sleep(ASK_EVERY);
         }
@@ -331,7 +346,9 @@ impl Gripper {
     /// Read the bytes of this many status registers, with one retry.
     fn read(&mut self, registers: u16) -> Result<Vec<u8>, DeviceError> {
         match self.read_once(registers) {
-            Err(DeviceError::Silent { .. } | DeviceError::Garbled { .. }) => self.read_once(registers),
+            Err(DeviceError::Silent { .. } | DeviceError::Garbled { .. }) => {
+                self.read_once(registers)
+            }
             other => other,
         }
     }
@@ -346,7 +363,8 @@ impl Gripper {
     }
 
     fn write(&mut self, action: u8, position: u8, effort: Effort) -> Result<(), DeviceError> {
-        let words = [[action, 0], [0, position], [effort.speed, effort.force]].map(u16::from_be_bytes);
+        let words =
+            [[action, 0], [0, position], [effort.speed, effort.force]].map(u16::from_be_bytes);
         match self.call(Request::WriteMultipleRegisters(ACTION, words.as_slice().into()))? {
             Response::WriteMultipleRegisters(ACTION, 3) => Ok(()),
             _ => Err(self.unreadable()),
@@ -359,10 +377,15 @@ impl Gripper {
         let mut modbus = rtu::attach_slave(self.wire.clone(), SLAVE);
         // Outer result: whether a reply came in time; middle: whether it could be read; inner:
         // whether it is an exception.
-        match self.runtime.block_on(async { tokio::time::timeout(REPLY, modbus.call(request)).await }) {
+        match self
+            .runtime
+            .block_on(async { tokio::time::timeout(REPLY, modbus.call(request)).await })
+        {
             Ok(Ok(Ok(response))) => Ok(response),
             Ok(Ok(Err(exception))) => Err(faulted(format!("Modbus exception: {exception}"))),
-            Ok(Err(tokio_modbus::Error::Transport(error))) if error.kind() != io::ErrorKind::InvalidData => {
+            Ok(Err(tokio_modbus::Error::Transport(error)))
+                if error.kind() != io::ErrorKind::InvalidData =>
+            {
                 Err(DeviceError::Lost { device: DEVICE, cause: error.to_string() })
             }
             Ok(Err(_)) | Err(_) => Err(self.unreadable()),

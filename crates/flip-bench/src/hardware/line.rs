@@ -75,7 +75,12 @@ impl Line {
     ///
     /// # Errors
     /// [`DeviceError::Lost`] with the reason.
-    pub fn open(device: &'static str, port: &str, serial: &Serial, tap: Tap) -> Result<Self, DeviceError> {
+    pub fn open(
+        device: &'static str,
+        port: &str,
+        serial: &Serial,
+        tap: Tap,
+    ) -> Result<Self, DeviceError> {
         let lost = |cause: String| DeviceError::Lost { device, cause: format!("{port}: {cause}") };
         let stream: Box<dyn Stream> = match port.strip_prefix("tcp://") {
             Some(address) => Box::new(connect(address).map_err(|error| lost(error.to_string()))?),
@@ -160,13 +165,19 @@ impl Line {
     fn look(&mut self) -> Result<usize, DeviceError> {
         let mut buffer = [0; 256];
         match self.stream.read(&mut buffer) {
-            Ok(0) => Err(DeviceError::Lost { device: self.device, cause: "the connection was closed".to_owned() }),
+            Ok(0) => Err(DeviceError::Lost {
+                device: self.device,
+                cause: "the connection was closed".to_owned(),
+            }),
             Ok(count) => {
                 self.partial.extend_from_slice(&buffer[..count]);
                 Ok(count)
             }
             Err(error)
-                if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) =>
+                if matches!(
+                    error.kind(),
+                    ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
+                ) =>
             {
                 Ok(0)
             }
@@ -197,8 +208,16 @@ fn open_serial(path: &str, serial: &Serial) -> serialport::Result<serialport::TT
         Parity::Odd => serialport::Parity::Odd,
         Parity::Even => serialport::Parity::Even,
     };
-    let data_bits = if serial.data_bits == 7 { serialport::DataBits::Seven } else { serialport::DataBits::Eight };
-    serialport::new(path, serial.baud).data_bits(data_bits).parity(parity).timeout(LOOK).open_native()
+    let data_bits = if serial.data_bits == 7 {
+        serialport::DataBits::Seven
+    } else {
+        serialport::DataBits::Eight
+    };
+    serialport::new(path, serial.baud)
+        .data_bits(data_bits)
+        .parity(parity)
+        .timeout(LOOK)
+        .open_native()
 }
 
 impl Serial {
@@ -208,10 +227,16 @@ impl Serial {
     /// The first field that is out of bounds.
     pub fn checked(self) -> Result<Self, FieldError> {
         if !(300..=4_000_000).contains(&self.baud) {
-            return Err(FieldError::new("baud", format!("must be from 300 to 4000000, got {}", self.baud)));
+            return Err(FieldError::new(
+                "baud",
+                format!("must be from 300 to 4000000, got {}", self.baud),
+            ));
         }
         if ![7, 8].contains(&self.data_bits) {
-            return Err(FieldError::new("data_bits", format!("must be 7 or 8, got {}", self.data_bits)));
+            return Err(FieldError::new(
+                "data_bits",
+                format!("must be 7 or 8, got {}", self.data_bits),
+            ));
         }
         Ok(self)
     }

@@ -77,7 +77,8 @@ pub fn settled(settling: &Settling, shown: &[Shown]) -> Option<Settled> {
     let last = shown.last()?;
     // A nanosecond of slack: three frames of a tenth of a second are 0.2 s, whatever their sum
     // rounds to.
-    let enough = |s: &Shown| s.t_s >= settling.lag_s && last.t_s - s.t_s >= settling.window_s - 1e-9;
+    let enough =
+        |s: &Shown| s.t_s >= settling.lag_s && last.t_s - s.t_s >= settling.window_s - 1e-9;
     let from = shown.iter().rposition(enough)?.min(shown.len().checked_sub(READINGS_MIN)?);
     let window = &shown[from..];
     if window[0].t_s < settling.lag_s || spread_mg(window) > 2.0 * settling.step_mg + 1e-9 {
@@ -99,7 +100,8 @@ pub fn standing(settling: &Settling, shown: &[Shown]) -> Option<Standing> {
     // Less than half a step over the whole time is rounding, not drift.
     let is_rounding = slope_mg_s.abs() * (last.t_s - first.t_s) <= settling.step_mg / 2.0;
     let slope_mg_s = if is_rounding { 0.0 } else { slope_mg_s };
-    let seen: Vec<Moment> = shown.iter().map(|one| Moment { t_s: one.t_s, mass_mg: one.mass_mg }).collect();
+    let seen: Vec<Moment> =
+        shown.iter().map(|one| Moment { t_s: one.t_s, mass_mg: one.mass_mg }).collect();
     Some(Standing {
         reading: Reading { mass_mg: last.mass_mg, stable: last.flag },
         still: settled(&Settling { lag_s: f64::NEG_INFINITY, ..*settling }, shown).is_some(),
@@ -115,9 +117,9 @@ fn spread_mg(shown: &[Shown]) -> f64 {
     if shown.iter().any(|s| !s.mass_mg.is_finite()) {
         return f64::INFINITY;
     }
-    let (low, high) = shown
-        .iter()
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| (low.min(s.mass_mg), high.max(s.mass_mg)));
+    let (low, high) = shown.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| {
+        (low.min(s.mass_mg), high.max(s.mass_mg))
+    });
     high - low
 }
 
@@ -177,7 +179,11 @@ mod tests {
             let found = watch(step(size_mg)).unwrap();
             // Seven time constants past the window for the largest step; there was no need to wait
             // for the flag.
-            assert!(found.t_s < if size_mg > 100.0 { 1.6 } else { 1.2 }, "{size_mg}: {}", found.t_s);
+            assert!(
+                found.t_s < if size_mg > 100.0 { 1.6 } else { 1.2 },
+                "{size_mg}: {}",
+                found.t_s
+            );
             assert!((found.mass_mg - size_mg).abs() <= ONE_MG, "{size_mg}: {found:?}");
             assert!((found.end_mg - size_mg).abs() <= ONE_MG, "{size_mg}: {found:?}");
         }
@@ -226,7 +232,11 @@ mod tests {
     #[test]
     fn a_standing_balance_says_how_it_drifts() {
         let shown: Vec<Shown> = (0..60)
-            .map(|k| Shown { t_s: f64::from(k) * 0.2, mass_mg: 3.0 + 0.05 * f64::from(k) * 0.2, flag: true })
+            .map(|k| Shown {
+                t_s: f64::from(k) * 0.2,
+                mass_mg: 3.0 + 0.05 * f64::from(k) * 0.2,
+                flag: true,
+            })
             .collect();
         let found = standing(&Settling::new(ONE_MG), &shown).unwrap();
         assert!((found.drift_mg_min - 3.0).abs() < 1e-9 && found.scatter_mg < 1e-9);

@@ -93,7 +93,10 @@ impl Plan {
     pub fn checked(self) -> Result<Self, FieldError> {
         let n = self.amplitudes_mm.len();
         if !(2..=AMPLITUDES_MAX).contains(&n) {
-            return Err(FieldError::new("amplitudes_mm", format!("must be from 2 to {AMPLITUDES_MAX}, got {n}")));
+            return Err(FieldError::new(
+                "amplitudes_mm",
+                format!("must be from 2 to {AMPLITUDES_MAX}, got {n}"),
+            ));
         }
         for mm in &self.amplitudes_mm {
             bounded("amplitudes_mm", *mm, 0.1, flip_core::domain::bench::SHAKE_MM_MAX, "mm")?;
@@ -106,7 +109,8 @@ impl Plan {
     /// slope.
     pub fn order(&self) -> Vec<f64> {
         let all = (0..self.repeats).flat_map(|_| self.amplitudes_mm.iter().copied());
-        let mut keyed: Vec<(u64, f64)> = all.enumerate().map(|(k, mm)| (derive(self.seed, &[k as u64]), mm)).collect();
+        let mut keyed: Vec<(u64, f64)> =
+            all.enumerate().map(|(k, mm)| (derive(self.seed, &[k as u64]), mm)).collect();
         keyed.sort_by_key(|(key, _)| *key);
         keyed.into_iter().map(|(_, mm)| mm).collect()
     }
@@ -134,7 +138,8 @@ pub fn calibrate(
     let states = raw.watch();
     arm.acquire()?;
     arm.retract()?;
-    let (limits, name) = (*arm.limits(), format!("{}, serial {}", arm.description().name, arm.description().serial));
+    let (limits, name) =
+        (*arm.limits(), format!("{}, serial {}", arm.description().name, arm.description().serial));
     let mut shakes = Vec::new();
     for commanded_mm in plan.order().into_iter().filter(|mm| *mm <= limits.shake_mm_max) {
         if stop.load(Ordering::SeqCst) {
@@ -150,7 +155,11 @@ pub fn calibrate(
             planned_mm_s: 1e3 * Move::new(commanded_mm * 1e-3, limits.motion).top_m_s(),
             peak_mm_s: 1e3 * executed.peak_speed_m_s,
         };
-        shakes.push(Shaken { shake, streamed_mm: furthest_mm(&seen), streamed_mm_s: fastest_mm_s(&seen) });
+        shakes.push(Shaken {
+            shake,
+            streamed_mm: furthest_mm(&seen),
+            streamed_mm_s: fastest_mm_s(&seen),
+        });
     }
     arm.release()?;
     let calibration = ShakeCalibration::of(shakes.iter().map(|it| it.shake).collect())?;
@@ -162,7 +171,8 @@ pub fn calibrate(
 fn stroke(seen: &[Seen]) -> Option<Vec<(f64, f64)>> {
     let moving = |it: &&Seen| it.state.shake_displacement_mm.abs() > 1e-3;
     let first = seen.iter().position(|it| moving(&it))?.saturating_sub(1);
-    let stroke = seen[first..].iter().map(|it| (it.state.measured_at_s, it.state.shake_displacement_mm));
+    let stroke =
+        seen[first..].iter().map(|it| (it.state.measured_at_s, it.state.shake_displacement_mm));
     Some(stroke.collect()).filter(|it: &Vec<_>| it.len() >= STATES_MIN)
 }
 
@@ -183,18 +193,27 @@ fn fastest_mm_s(seen: &[Seen]) -> Option<f64> {
 fn notes(calibration: &ShakeCalibration, shakes: &[Shaken]) -> Vec<String> {
     let mut notes = Vec::new();
     if !(0.5..=1.1).contains(&calibration.gain) {
-        notes.push(format!("the arm executes {:.2} of what is commanded: look at its tuning", calibration.gain));
+        notes.push(format!(
+            "the arm executes {:.2} of what is commanded: look at its tuning",
+            calibration.gain
+        ));
     }
     let lost = shakes.iter().filter(|it| it.shake.executed_mm == 0.0).count();
     if lost > 0 {
-        notes.push(format!("{lost} shakes were not executed at all: they are below the arm's least amplitude"));
+        notes.push(format!(
+            "{lost} shakes were not executed at all: they are below the arm's least amplitude"
+        ));
     }
     let off = |it: &&Shaken| {
-        it.streamed_mm.is_some_and(|mm| (mm - it.shake.executed_mm).abs() > DISAGREE * it.shake.executed_mm.max(1.0))
+        it.streamed_mm.is_some_and(|mm| {
+            (mm - it.shake.executed_mm).abs() > DISAGREE * it.shake.executed_mm.max(1.0)
+        })
     };
     let off = shakes.iter().filter(off).count();
     if off > 0 {
-        notes.push(format!("in {off} shakes the states show another amplitude than the driver's answer"));
+        notes.push(format!(
+            "in {off} shakes the states show another amplitude than the driver's answer"
+        ));
     }
     notes
 }
@@ -220,12 +239,18 @@ mod tests {
     fn the_arms_own_gain_loss_and_speed_are_found_and_nothing_is_poured() {
         let lab = laboratory(Clock::standing());
         let looked = Looked::by("Ada", true, false).unwrap();
-        let found = calibrate(&lab.file(), Plan::default(), &looked, &AtomicBool::new(false), &Tap::none()).unwrap();
+        let found =
+            calibrate(&lab.file(), Plan::default(), &looked, &AtomicBool::new(false), &Tap::none())
+                .unwrap();
         let line = &found.calibration;
         assert!((line.gain - 0.94).abs() < 1e-9 && (line.offset_mm + 0.1).abs() < 1e-9, "{line:?}");
         assert!(line.scatter_mm < 1e-9 && (0.85..0.95).contains(&line.speed_gain), "{line:?}");
         assert_eq!((found.shakes.len(), lab.dispensed_mg()), (15, 0.0));
-        assert!(lab.arm.is_level() && lab.arm.is_retracted() && found.notes.is_empty(), "{:?}", found.notes);
+        assert!(
+            lab.arm.is_level() && lab.arm.is_retracted() && found.notes.is_empty(),
+            "{:?}",
+            found.notes
+        );
     }
 
     #[test]
@@ -233,7 +258,8 @@ mod tests {
         let lab = laboratory(Clock::wall());
         let looked = Looked::by("Ada", true, false).unwrap();
         let plan = Plan { amplitudes_mm: vec![12.0, 16.0], repeats: 2, seed: 3 };
-        let found = calibrate(&lab.file(), plan, &looked, &AtomicBool::new(false), &Tap::none()).unwrap();
+        let found =
+            calibrate(&lab.file(), plan, &looked, &AtomicBool::new(false), &Tap::none()).unwrap();
         for shaken in found.shakes {
             let share = shaken.streamed_mm.unwrap() / shaken.shake.executed_mm;
             assert!((0.7..1.001).contains(&share), "{shaken:?}");
@@ -248,15 +274,19 @@ mod tests {
         assert_eq!(order, plan.order());
         assert_ne!(order, Plan { seed: 2, ..plan.clone() }.order());
         order.sort_by(f64::total_cmp);
-        assert_eq!(order, [2.0, 4.0, 8.0, 12.0, 16.0].into_iter().flat_map(|mm| [mm; 3]).collect::<Vec<_>>());
+        assert_eq!(
+            order,
+            [2.0, 4.0, 8.0, 12.0, 16.0].into_iter().flat_map(|mm| [mm; 3]).collect::<Vec<_>>()
+        );
     }
 
     #[test]
     fn without_a_look_a_sound_plan_or_time_nothing_is_shaken() {
         let lab = laboratory(Clock::standing());
         let looked = Looked::by("Ada", true, false).unwrap();
-        let go =
-            |plan, looked: &Looked, stop| calibrate(&lab.file(), plan, looked, &AtomicBool::new(stop), &Tap::none());
+        let go = |plan, looked: &Looked, stop| {
+            calibrate(&lab.file(), plan, looked, &AtomicBool::new(stop), &Tap::none())
+        };
         assert!(matches!(go(Plan::default(), &Looked::nobody(), false), Err(Error::Device(_))));
         let wild = Plan { amplitudes_mm: vec![2.0, 40.0], ..Plan::default() };
         assert!(go(wild, &looked, false).unwrap_err().to_string().contains("amplitudes_mm"));

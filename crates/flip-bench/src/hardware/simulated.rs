@@ -23,7 +23,12 @@ pub struct SimulatedBench {
 
 impl SimulatedBench {
     /// A bench with a freshly filled level spoon (takes about half a second of CPU time).
-    pub fn new(set: &ParameterSet, spoon: &dispense::Settings, balance: &balance::Settings, seed: u64) -> Self {
+    pub fn new(
+        set: &ParameterSet,
+        spoon: &dispense::Settings,
+        balance: &balance::Settings,
+        seed: u64,
+    ) -> Self {
         Self::with_spoon(Dispenser::new(set, spoon, derive(seed, &[0])), balance, seed)
     }
 
@@ -31,7 +36,15 @@ impl SimulatedBench {
     pub fn with_spoon(spoon: Dispenser, balance: &balance::Settings, seed: u64) -> Self {
         let read_at_mg = spoon.vial_mg();
         let noise = derive(seed, &[1]);
-        Self { spoon, balance: *balance, noise, readings: 0, read_at_mg, tare_mg: 0.0, elapsed_s: 0.0 }
+        Self {
+            spoon,
+            balance: *balance,
+            noise,
+            readings: 0,
+            read_at_mg,
+            tare_mg: 0.0,
+            elapsed_s: 0.0,
+        }
     }
 
     /// True mass in the vial, mg, which no balance shows.
@@ -47,7 +60,9 @@ impl SimulatedBench {
     fn after(&mut self, poured: Poured) -> Result<(), DeviceError> {
         self.elapsed_s += poured.duration_s;
         match self.spoon.fault() {
-            Some(cause) => Err(DeviceError::Faulted { device: "the simulated spoon", cause: cause.to_owned() }),
+            Some(cause) => {
+                Err(DeviceError::Faulted { device: "the simulated spoon", cause: cause.to_owned() })
+            }
             None => Ok(()),
         }
     }
@@ -78,8 +93,16 @@ impl Bench for SimulatedBench {
         let reading = self.read()?;
         let still = reading.stable;
         let seen = [Moment { t_s: self.elapsed_s, mass_mg: reading.mass_mg }];
-        let rest = Rest::of(&seen).ok_or(DeviceError::Silent { device: "the simulated balance" })?;
-        Ok(Standing { reading, still, drift_mg_min: 0.0, scatter_mg: self.balance.noise_mg, seconds, rest })
+        let rest =
+            Rest::of(&seen).ok_or(DeviceError::Silent { device: "the simulated balance" })?;
+        Ok(Standing {
+            reading,
+            still,
+            drift_mg_min: 0.0,
+            scatter_mg: self.balance.noise_mg,
+            seconds,
+            rest,
+        })
     }
 
     fn readings(&mut self, seconds: f64) -> Result<Vec<Moment>, DeviceError> {

@@ -118,8 +118,7 @@ impl Stand {
             }
             self.arm.invert()?;
         } else if procedure.repeats > 1 {
-            let cause =
-                "it has no platform to turn over the funnel: fill the funnel by hand and ask for one repeat at a time";
+            let cause = "it has no platform to turn over the funnel: fill the funnel by hand and ask for one repeat at a time";
             return Err(DeviceError::Forbidden { device: "the arm", cause: cause.to_owned() });
         }
         if go_on("opens the gate").is_break() {
@@ -131,7 +130,12 @@ impl Stand {
         Ok(flowed && self.wait(procedure.rest_s, "the pile comes to rest", go_on))
     }
 
-    fn wait(&mut self, seconds: f64, what: &str, go_on: &mut dyn FnMut(&str) -> ControlFlow<()>) -> bool {
+    fn wait(
+        &mut self,
+        seconds: f64,
+        what: &str,
+        go_on: &mut dyn FnMut(&str) -> ControlFlow<()>,
+    ) -> bool {
         let until_s = self.clock.now_s() + seconds;
         while self.clock.now_s() < until_s {
             if go_on(what).is_break() {
@@ -153,7 +157,8 @@ mod tests {
     const QUICK: Procedure = Procedure { repeats: 2, frames: 3, open_s: 2.0, rest_s: 1.0 };
 
     fn laboratory(settings: lab::Settings, clock: &Clock) -> Laboratory {
-        Laboratory::start(settings, clock.clone(), Box::new(FormulaSpoon::new(Flow::default(), 1))).unwrap()
+        Laboratory::start(settings, clock.clone(), Box::new(FormulaSpoon::new(Flow::default(), 1)))
+            .unwrap()
     }
 
     #[test]
@@ -171,8 +176,12 @@ mod tests {
             ControlFlow::Continue(())
         });
         assert_eq!((poured, widest, laboratory.slide.opening()), (Ok(true), 1.0, 0.0));
-        let steps =
-            ["turns the platform over the funnel", "opens the gate", "the powder runs out", "the pile comes to rest"];
+        let steps = [
+            "turns the platform over the funnel",
+            "opens the gate",
+            "the powder runs out",
+            "the pile comes to rest",
+        ];
         assert_eq!(told, steps);
     }
 

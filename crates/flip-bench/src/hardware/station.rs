@@ -77,15 +77,18 @@ impl Station {
         clock: Clock,
         tap: &Tap,
     ) -> Result<Self, DeviceError> {
-        let balance = Balance::open(&file.balance, tap.clone(), clock.clone())?.with_noise_mg(file.readings.noise_mg);
-        let mut gripper = file.gripper.as_ref().map(|it| Gripper::open(&it.port, tap.clone())).transpose()?;
+        let balance = Balance::open(&file.balance, tap.clone(), clock.clone())?
+            .with_noise_mg(file.readings.noise_mg);
+        let mut gripper =
+            file.gripper.as_ref().map(|it| Gripper::open(&it.port, tap.clone())).transpose()?;
         let mut arm = Arm::connect(&file.arm.url, tap.clone(), deadlines)?;
         if let Some(gripper) = &mut gripper {
             require_spoon(gripper)?;
         }
         arm.acquire()?;
         let fills = file.spoon.filled_by != FilledBy::Hand && arm.description().can_scoop;
-        let step_mg = file.balance.readability_mg.unwrap_or(STEP_MG_DEFAULT).max(file.readings.noise_mg);
+        let step_mg =
+            file.balance.readability_mg.unwrap_or(STEP_MG_DEFAULT).max(file.readings.noise_mg);
         let began_s = clock.now_s();
         Ok(Self {
             balance,
@@ -123,11 +126,21 @@ impl Station {
             Err(DeviceError::Silent { .. }) => Default::default(),
             Err(error) => return Err(error),
         };
-        let told = [Some(identity.maker), identity.model, identity.serial.map(|serial| format!("serial {serial}"))];
-        let balance = told.into_iter().flatten().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ");
+        let told = [
+            Some(identity.maker),
+            identity.model,
+            identity.serial.map(|serial| format!("serial {serial}")),
+        ];
+        let balance = told
+            .into_iter()
+            .flatten()
+            .filter(|part| !part.is_empty())
+            .collect::<Vec<_>>()
+            .join(", ");
         let arm = self.arm.description();
         let arm = format!("{}, serial {}", arm.name, arm.serial);
-        let gripper = self.gripper.as_ref().map(|_| ("gripper".to_owned(), "Robotiq 2F-85".to_owned()));
+        let gripper =
+            self.gripper.as_ref().map(|_| ("gripper".to_owned(), "Robotiq 2F-85".to_owned()));
         let spoon = (!self.fills).then(|| ("spoon".to_owned(), BY_HAND.to_owned()));
         let roles = [("balance".to_owned(), balance), ("arm".to_owned(), arm)];
         Ok(roles.into_iter().chain(gripper).chain(spoon).collect())
@@ -162,7 +175,11 @@ impl Station {
     }
 
     /// Readings since the last motion, until the display is final or the time is up.
-    fn watch(&mut self, limit_s: f64, is_final: impl Fn(&[Shown]) -> bool) -> Result<Vec<Shown>, DeviceError> {
+    fn watch(
+        &mut self,
+        limit_s: f64,
+        is_final: impl Fn(&[Shown]) -> bool,
+    ) -> Result<Vec<Shown>, DeviceError> {
         let from_s = self.clock.now_s();
         let mut shown = Vec::new();
         loop {
@@ -206,7 +223,10 @@ impl Bench for Station {
     fn tare(&mut self) -> Result<Tare, DeviceError> {
         let vial = self.balance.stable(self.readings.stand_max_s)?;
         if vial.mass_mg < -LIGHTER_MG_MAX {
-            let cause = format!("it shows {} mg less than when it was tared: is a vial on it?", -vial.mass_mg);
+            let cause = format!(
+                "it shows {} mg less than when it was tared: is a vial on it?",
+                -vial.mass_mg
+            );
             return Err(DeviceError::Forbidden { device: "the balance", cause });
         }
         self.balance.tare()?;
@@ -223,11 +243,13 @@ impl Bench for Station {
             let Sample { mass_mg, stable, .. } = self.look()?;
             return Ok(Reading { mass_mg, stable });
         }
-        let shown = self.watch(self.readings.settle_max_s, |shown| settled(&settling, shown).is_some())?;
+        let shown =
+            self.watch(self.readings.settle_max_s, |shown| settled(&settling, shown).is_some())?;
         let last = shown.last().ok_or(DeviceError::Silent { device: "the balance" })?;
         // Our own criterion, or the balance's flag if the previous reading agrees.
         let before = shown.len().checked_sub(2).map(|k| shown[k].mass_mg);
-        let agrees = before.is_some_and(|mass_mg| (mass_mg - last.mass_mg).abs() <= settling.step_mg + 1e-9);
+        let agrees =
+            before.is_some_and(|mass_mg| (mass_mg - last.mass_mg).abs() <= settling.step_mg + 1e-9);
         let stable = settled(&settling, &shown).is_some() || (last.flag && agrees);
         Ok(Reading { mass_mg: last.mass_mg, stable })
     }
@@ -238,14 +260,16 @@ impl Bench for Station {
         let from_s = self.clock.now_s() - self.moved_at_s;
         let enough = |shown: &[Shown]| {
             let last = shown.last();
-            last.is_some_and(|last| last.flag && last.t_s - from_s >= seconds) && settled(&settling, shown).is_some()
+            last.is_some_and(|last| last.flag && last.t_s - from_s >= seconds)
+                && settled(&settling, shown).is_some()
         };
         let shown = self.watch(limit_s, enough)?;
         // The slope covers only the requested time: before it the load may still have been
         // settling.
         let from_s = shown.last().map_or(0.0, |last| last.t_s - seconds.max(1.0));
         let recent: Vec<Shown> = shown.iter().copied().filter(|one| one.t_s >= from_s).collect();
-        let mut found = standing(&settling, &recent).ok_or(DeviceError::Silent { device: "the balance" })?;
+        let mut found =
+            standing(&settling, &recent).ok_or(DeviceError::Silent { device: "the balance" })?;
         found.rest.at_s += self.moved_at_s - self.began_s;
         Ok(found)
     }
@@ -298,7 +322,8 @@ impl Bench for Station {
         }
         let wanted_mm = action.executed_shake_mm();
         if wanted_mm > 0.0 {
-            let commanded_mm = self.shakes.as_ref().map_or(wanted_mm, |line| line.commanded_mm(wanted_mm));
+            let commanded_mm =
+                self.shakes.as_ref().map_or(wanted_mm, |line| line.commanded_mm(wanted_mm));
             self.arm.shake(commanded_mm.min(self.arm.limits().shake_mm_max))?;
             self.moved();
         }

@@ -24,7 +24,12 @@ pub struct Waypoint {
 ///
 /// # Errors
 /// A number that is not finite, a limit that is not positive, or a rate out of bounds.
-pub fn pitch(from_deg: f64, to_deg: f64, limits: &TurnLimits, rate_hz: f64) -> Result<Vec<Waypoint>, FieldError> {
+pub fn pitch(
+    from_deg: f64,
+    to_deg: f64,
+    limits: &TurnLimits,
+    rate_hz: f64,
+) -> Result<Vec<Waypoint>, FieldError> {
     bounded("from_deg", from_deg, -180.0, 180.0, "deg")?;
     bounded("to_deg", to_deg, -180.0, 180.0, "deg")?;
     let change = to_deg - from_deg;
@@ -41,7 +46,11 @@ pub fn pitch(from_deg: f64, to_deg: f64, limits: &TurnLimits, rate_hz: f64) -> R
 ///
 /// # Errors
 /// A number that is not finite, a limit that is not positive, or a rate out of bounds.
-pub fn shake(amplitude_m: f64, limits: &MotionLimits, rate_hz: f64) -> Result<Vec<Waypoint>, FieldError> {
+pub fn shake(
+    amplitude_m: f64,
+    limits: &MotionLimits,
+    rate_hz: f64,
+) -> Result<Vec<Waypoint>, FieldError> {
     bounded("amplitude_m", amplitude_m, 0.0, STROKE_M_MAX, "m")?;
     let stroke = Stroke::new(amplitude_m, checked(*limits)?);
     sampled(stroke.duration_s(), rate_hz, |t_s| stroke.at(t_s))
@@ -78,9 +87,11 @@ impl Stroke {
 }
 
 fn checked(limits: MotionLimits) -> Result<MotionLimits, FieldError> {
-    for (field, value) in
-        [("velocity", limits.velocity_m_s), ("acceleration", limits.acceleration_m_s2), ("jerk", limits.jerk_m_s3)]
-    {
+    for (field, value) in [
+        ("velocity", limits.velocity_m_s),
+        ("acceleration", limits.acceleration_m_s2),
+        ("jerk", limits.jerk_m_s3),
+    ] {
         if !(value.is_finite() && value > 0.0) {
             return Err(FieldError::new(field, format!("must be a positive number, got {value}")));
         }
@@ -89,7 +100,11 @@ fn checked(limits: MotionLimits) -> Result<MotionLimits, FieldError> {
 }
 
 /// Samples from 0 to `duration_s`; the last is exactly at the end, so that the path ends at rest.
-fn sampled(duration_s: f64, rate_hz: f64, at: impl Fn(f64) -> Waypoint) -> Result<Vec<Waypoint>, FieldError> {
+fn sampled(
+    duration_s: f64,
+    rate_hz: f64,
+    at: impl Fn(f64) -> Waypoint,
+) -> Result<Vec<Waypoint>, FieldError> {
     let rate = bounded("rate_hz", rate_hz, RATE_HZ[0], RATE_HZ[1], "Hz")?;
     let whole = (duration_s * rate).ceil() as usize;
     Ok((0..=whole).map(|k| at((k as f64 / rate).min(duration_s))).collect())
@@ -114,7 +129,10 @@ mod tests {
             assert!(acceleration.abs() <= limits.acceleration_m_s2 * 1.000_001, "{pair:?}");
             // Means over two intervals are as far apart as their midpoints; the turning point joins
             // a move to its mirror image.
-            assert!((acceleration - before).abs() <= limits.jerk_m_s3 * (dt + before_s) / 2.0 * 1.01, "{pair:?}");
+            assert!(
+                (acceleration - before).abs() <= limits.jerk_m_s3 * (dt + before_s) / 2.0 * 1.01,
+                "{pair:?}"
+            );
             (before, before_s) = (acceleration, dt);
         }
         assert_eq!((path[0].velocity, path[path.len() - 1].velocity.abs() < 1e-9), (0.0, true));
@@ -126,7 +144,10 @@ mod tests {
             let path = shake(amplitude_m, &MotionLimits::PAPER, 1000.0).unwrap();
             check(&path, MotionLimits::PAPER);
             let furthest = path.iter().map(|point| point.position).fold(0.0, f64::max);
-            assert!((furthest / amplitude_m - 1.0).abs() < 1e-3 && path[path.len() - 1].position.abs() < 1e-12);
+            assert!(
+                (furthest / amplitude_m - 1.0).abs() < 1e-3
+                    && path[path.len() - 1].position.abs() < 1e-12
+            );
         }
     }
 
@@ -135,7 +156,10 @@ mod tests {
         for (from, to) in [(0.0, 8.0), (36.0, -10.0), (5.0, 5.0)] {
             let path = pitch(from, to, &TurnLimits::DEFAULT, 1000.0).unwrap();
             check(&path, TurnLimits::DEFAULT.into());
-            assert!((path[0].position - from).abs() < 1e-12 && (path[path.len() - 1].position - to).abs() < 1e-9);
+            assert!(
+                (path[0].position - from).abs() < 1e-12
+                    && (path[path.len() - 1].position - to).abs() < 1e-9
+            );
         }
     }
 

@@ -43,12 +43,20 @@ impl Tap {
 
     /// Record text sent to a device.
     pub fn sent(&self, device: &str, text: impl Into<String>) {
-        (self.0)(Exchange { device: device.to_owned(), direction: Direction::Sent, text: text.into() });
+        (self.0)(Exchange {
+            device: device.to_owned(),
+            direction: Direction::Sent,
+            text: text.into(),
+        });
     }
 
     /// Record text received from a device.
     pub fn received(&self, device: &str, text: impl Into<String>) {
-        (self.0)(Exchange { device: device.to_owned(), direction: Direction::Received, text: text.into() });
+        (self.0)(Exchange {
+            device: device.to_owned(),
+            direction: Direction::Received,
+            text: text.into(),
+        });
     }
 }
 

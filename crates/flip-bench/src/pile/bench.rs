@@ -51,11 +51,15 @@ impl Plane {
     /// Least-squares plane through these points: its normal is the direction of least spread.
     fn through_all(points: &[[f64; 3]]) -> Option<Self> {
         let n = points.len() as f64;
-        let centre: Vector3<f64> = points.iter().map(|p| Vector3::from(*p)).sum::<Vector3<f64>>() / n;
-        let spread: Matrix3<f64> = points.iter().map(|p| Vector3::from(*p) - centre).map(|d| d * d.transpose()).sum();
+        let centre: Vector3<f64> =
+            points.iter().map(|p| Vector3::from(*p)).sum::<Vector3<f64>>() / n;
+        let spread: Matrix3<f64> =
+            points.iter().map(|p| Vector3::from(*p) - centre).map(|d| d * d.transpose()).sum();
         let eigen = spread.symmetric_eigen();
         let least = eigen.eigenvalues.imin();
-        (n >= 3.0).then(|| Self::facing(eigen.eigenvectors.column(least).into_owned().into(), centre.into()))
+        (n >= 3.0).then(|| {
+            Self::facing(eigen.eigenvectors.column(least).into_owned().into(), centre.into())
+        })
     }
 }
 
@@ -63,16 +67,21 @@ impl Plane {
 /// roughly upright.
 pub(super) fn bench(shot: &Shot, limits: &Limits) -> Result<Plane, Refusal> {
     let step = (shot.depth_mm.len() / (4 * POINTS)).max(1);
-    let points: Vec<[f64; 3]> =
-        (0..shot.depth_mm.len()).step_by(step).filter(|k| !shot.edge[*k]).filter_map(|k| shot.point(k)).collect();
-    let thin: Vec<[f64; 3]> = points.iter().copied().step_by((points.len() / POINTS).max(1)).collect();
+    let points: Vec<[f64; 3]> = (0..shot.depth_mm.len())
+        .step_by(step)
+        .filter(|k| !shot.edge[*k])
+        .filter_map(|k| shot.point(k))
+        .collect();
+    let thin: Vec<[f64; 3]> =
+        points.iter().copied().step_by((points.len() / POINTS).max(1)).collect();
     let none = |found| Refusal::BenchNotFound { points: found, all: thin.len() };
     if thin.len() < 100 {
         return Err(none(0));
     }
     let mut rng = Pcg64Mcg::seed_from_u64(0);
     let mut pick = || thin[rng.random_range(0..thin.len() as u64) as usize];
-    let trials: Vec<Plane> = (0..TRIALS).filter_map(|_| Plane::through([pick(), pick(), pick()])).collect();
+    let trials: Vec<Plane> =
+        (0..TRIALS).filter_map(|_| Plane::through([pick(), pick(), pick()])).collect();
     let score = |plane: &Plane| {
         let [roll, elevation] = plane.roll_and_elevation_deg();
         let heights = thin.iter().map(|p| plane.height(*p));
@@ -83,7 +92,8 @@ pub(super) fn bench(shot: &Shot, limits: &Limits) -> Result<Plane, Refusal> {
     };
     let mut plane = trials.into_iter().max_by_key(score).ok_or_else(|| none(0))?;
     for reach in [REACH_MM, REACH_MM, REACH_MM / 2.0] {
-        let on: Vec<[f64; 3]> = points.iter().copied().filter(|p| plane.height(*p).abs() < reach).collect();
+        let on: Vec<[f64; 3]> =
+            points.iter().copied().filter(|p| plane.height(*p).abs() < reach).collect();
         plane = Plane::through_all(&on).ok_or_else(|| none(on.len()))?;
     }
     let found = thin.iter().filter(|p| plane.height(**p).abs() < REACH_MM).count();

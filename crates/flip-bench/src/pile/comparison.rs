@@ -43,23 +43,41 @@ pub fn compare(stored: &[Stored]) -> Vec<Compared> {
         }
     }
     let newest = |powder: &str, method: Method| {
-        stored.iter().rev().find(|one| one.powder == powder && one.method == method).map(|one| one.flowability)
+        stored
+            .iter()
+            .rev()
+            .find(|one| one.powder == powder && one.method == method)
+            .map(|one| one.flowability)
     };
     let both = |powder: &str| {
-        let (automated, manual) = (newest(powder, Method::Automated)?, newest(powder, Method::Manual)?);
+        let (automated, manual) =
+            (newest(powder, Method::Automated)?, newest(powder, Method::Manual)?);
         let variance = |f: Flowability| (f.n > 1).then(|| f.sd_deg * f.sd_deg / f64::from(f.n));
-        let standard_error_deg = variance(automated).zip(variance(manual)).map(|(a, m)| (a + m).sqrt());
+        let standard_error_deg =
+            variance(automated).zip(variance(manual)).map(|(a, m)| (a + m).sqrt());
         let difference_deg = automated.repose_deg - manual.repose_deg;
-        Some(Compared { powder: powder.to_owned(), automated, manual, difference_deg, standard_error_deg })
+        Some(Compared {
+            powder: powder.to_owned(),
+            automated,
+            manual,
+            difference_deg,
+            standard_error_deg,
+        })
     };
     powders.into_iter().filter_map(both).collect()
 }
 
 /// The published measurements as stored ones.
 pub fn published() -> Vec<Stored> {
-    let rows =
-        PUBLISHED.iter().flat_map(|p| [(p.id, Method::Automated, p.automated), (p.id, Method::Manual, p.manual)]);
-    rows.map(|(powder, method, flowability)| Stored { powder: powder.to_owned(), method, flowability }).collect()
+    let rows = PUBLISHED
+        .iter()
+        .flat_map(|p| [(p.id, Method::Automated, p.automated), (p.id, Method::Manual, p.manual)]);
+    rows.map(|(powder, method, flowability)| Stored {
+        powder: powder.to_owned(),
+        method,
+        flowability,
+    })
+    .collect()
 }
 
 #[cfg(test)]

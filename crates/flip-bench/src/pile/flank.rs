@@ -59,7 +59,8 @@ fn away(at: [f64; 3], centre: [f64; 2]) -> f64 {
 /// do not exceed.
 pub(super) fn height(points: &[Point], axis: [f64; 2], rig: &Rig) -> Result<f64, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
-    let mut near: Vec<f64> = points.iter().filter(|p| away(p.at, axis) < NEAR * radius).map(|p| p.at[2]).collect();
+    let mut near: Vec<f64> =
+        points.iter().filter(|p| away(p.at, axis) < NEAR * radius).map(|p| p.at[2]).collect();
     if near.len() < NEAR_PIXELS_MIN {
         return Err(Refusal::ApexNotFound { pixels: near.len(), wanted: NEAR_PIXELS_MIN });
     }
@@ -72,11 +73,18 @@ pub(super) fn height(points: &[Point], axis: [f64; 2], rig: &Rig) -> Result<f64,
 }
 
 /// Locate the apex, over a flank of this slope.
-pub(super) fn apex(points: &[Point], axis: [f64; 2], height_mm: f64, slope: f64, rig: &Rig) -> Result<Apex, Refusal> {
+pub(super) fn apex(
+    points: &[Point],
+    axis: [f64; 2],
+    height_mm: f64,
+    slope: f64,
+    rig: &Rig,
+) -> Result<Apex, Refusal> {
     let q = ROUNDING[0] * (rig.base_diameter_mm / 2.0).powi(2);
     let start = [height_mm + slope * q.sqrt(), slope, axis[0], axis[1], q];
     let rough = top(points, axis, start, slope, rig)?;
-    let expected: Vec<Point> = points.iter().map(|p| p.expecting(|at| rough.height(at)).unwrap_or(*p)).collect();
+    let expected: Vec<Point> =
+        points.iter().map(|p| p.expecting(|at| rough.height(at)).unwrap_or(*p)).collect();
     top(&expected, axis, rough.parameters, slope, rig)
 }
 
@@ -88,14 +96,23 @@ pub(super) fn gap(points: &[Point], apex: [f64; 2]) -> f64 {
 }
 
 /// One fit of the top, from a start close to the solution.
-pub(super) fn top(points: &[Point], axis: [f64; 2], start: [f64; 5], slope: f64, rig: &Rig) -> Result<Apex, Refusal> {
+pub(super) fn top(
+    points: &[Point],
+    axis: [f64; 2],
+    start: [f64; 5],
+    slope: f64,
+    rig: &Rig,
+) -> Result<Apex, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
-    let inside = |p: &Point| (p.expected[0] - axis[0]).hypot(p.expected[1] - axis[1]) < TOP * radius;
+    let inside =
+        |p: &Point| (p.expected[0] - axis[0]).hypot(p.expected[1] - axis[1]) < TOP * radius;
     let top: Vec<Point> = points.iter().copied().filter(inside).collect();
     let [x, y] = centred(axis, radius, 2);
     let rounding = (4, ROUNDING[0] * radius * radius, ROUNDING[1] * radius * radius);
     let known = [x, y, rounding, (1, slope, SLOPE_SD * slope)];
-    let kept = |p: [f64; 5]| [p[0], p[1].clamp(0.05, 3.0), p[2], p[3], p[4].clamp(0.0, 0.3 * radius * radius)];
+    let kept = |p: [f64; 5]| {
+        [p[0], p[1].clamp(0.05, 3.0), p[2], p[3], p[4].clamp(0.0, 0.3 * radius * radius)]
+    };
     let unseen = Refusal::ApexNotFound { pixels: top.len(), wanted: NEAR_PIXELS_MIN };
     fit(start, &top, &known, kept, rounded).ok_or(unseen)
 }
@@ -167,7 +184,8 @@ pub(super) fn flank(
 ) -> Result<(Vec<Point>, Flank), Refusal> {
     let range = 0.2 * height_mm..=0.8 * height_mm;
     let inside = |p: &Point| away(p.at, axis) < 0.5 * rig.base_diameter_mm;
-    let seen: Vec<Point> = points.iter().copied().filter(|p| inside(p) && range.contains(&p.at[2])).collect();
+    let seen: Vec<Point> =
+        points.iter().copied().filter(|p| inside(p) && range.contains(&p.at[2])).collect();
     let rough = cone(&seen, axis, height_mm, rig)?;
     let chosen = expecting(points, |at| rough.height(at)).into_iter();
     let chosen: Vec<Point> = chosen.filter(|p| range.contains(&rough.height(p.expected))).collect();
@@ -176,7 +194,12 @@ pub(super) fn flank(
 }
 
 /// Fit the cone through points of a flank.
-pub(super) fn cone(flank: &[Point], axis: [f64; 2], height_mm: f64, rig: &Rig) -> Result<Flank, Refusal> {
+pub(super) fn cone(
+    flank: &[Point],
+    axis: [f64; 2],
+    height_mm: f64,
+    rig: &Rig,
+) -> Result<Flank, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let none = |rms_mm| Refusal::NoCone { pixels: flank.len(), rms_mm };
     if flank.len() < FLANK_PIXELS_MIN {
@@ -218,12 +241,16 @@ pub(super) fn departure(flank: &[Point], cone: &Flank, width: usize) -> Departur
         if r.abs() > 5.0 * cone.spread_mm {
             continue;
         }
-        let block = blocks.entry([point.pixel % width / BLOCK_PIXELS, point.pixel / width / BLOCK_PIXELS]).or_default();
+        let block = blocks
+            .entry([point.pixel % width / BLOCK_PIXELS, point.pixel / width / BLOCK_PIXELS])
+            .or_default();
         (block[0], block[1]) = (block[0] + r, block[1] + r * r);
         sectors[sector(point.at, [xc, yc])].push([away(point.at, [xc, yc]), r]);
     }
-    let [sums, squares] = blocks.values().fold([0.0; 2], |[a, b], block| [a + block[0] * block[0], b + block[1]]);
-    let slopes: Vec<f64> = sectors.iter().filter(|s| s.len() >= SECTOR_PIXELS_MIN).map(|s| slope(s)).collect();
+    let [sums, squares] =
+        blocks.values().fold([0.0; 2], |[a, b], block| [a + block[0] * block[0], b + block[1]]);
+    let slopes: Vec<f64> =
+        sectors.iter().filter(|s| s.len() >= SECTOR_PIXELS_MIN).map(|s| slope(s)).collect();
     let together = if squares > 0.0 { (sums / squares).max(1.0) } else { 1.0 };
     Departure { together, slope_sd: flip_core::stats::summary::sd(&slopes).unwrap_or(0.0) }
 }
@@ -239,17 +266,26 @@ fn slope(points: &[[f64; 2]]) -> f64 {
 }
 
 /// Whether the pile reaches the rim wherever the rim is visible.
-pub(super) fn covers(points: &[Point], cone: &Flank, axis: [f64; 2], rig: &Rig) -> Result<(), Refusal> {
+pub(super) fn covers(
+    points: &[Point],
+    cone: &Flank,
+    axis: [f64; 2],
+    rig: &Rig,
+) -> Result<(), Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let mut sectors = [(0, 0.0); SECTORS];
-    let rim = points.iter().filter(|p| (RIM[0] * radius..=RIM[1] * radius).contains(&away(p.at, axis)));
+    let rim =
+        points.iter().filter(|p| (RIM[0] * radius..=RIM[1] * radius).contains(&away(p.at, axis)));
     for point in rim {
         let (pixels, height) = &mut sectors[sector(point.at, axis)];
         (*pixels, *height) = (*pixels + 1, *height + point.at[2]);
     }
     let wanted = RIM_HEIGHT_MIN * (1.0 - 0.5 * (RIM[0] + RIM[1])) * radius * cone.parameters[1];
-    let seen: Vec<f64> =
-        sectors.iter().filter(|s| s.0 >= SECTOR_PIXELS_MIN).map(|s| s.1 / f64::from(s.0 as u32)).collect();
+    let seen: Vec<f64> = sectors
+        .iter()
+        .filter(|s| s.0 >= SECTOR_PIXELS_MIN)
+        .map(|s| s.1 / f64::from(s.0 as u32))
+        .collect();
     let covered = seen.iter().filter(|height| **height >= wanted).count();
     match covered == seen.len() && covered > 0 {
         true => Ok(()),
@@ -263,7 +299,8 @@ mod tests {
 
     /// Points of a rounded cone, on the near side only.
     fn near_side(za: f64, s: f64, centre: [f64; 2], rho: f64) -> Vec<Point> {
-        let grid = (-60..=60).flat_map(|i| (-60..=10).map(move |j| [f64::from(i) * 0.5, f64::from(j) * 0.5]));
+        let grid = (-60..=60)
+            .flat_map(|i| (-60..=10).map(move |j| [f64::from(i) * 0.5, f64::from(j) * 0.5]));
         let p = [za + s * rho, s, centre[0], centre[1], rho * rho];
         let point = |(pixel, at): (usize, [f64; 2])| {
             let seen = [at[0], at[1], rounded(&p, at).0];

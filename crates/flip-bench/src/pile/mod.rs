@@ -134,7 +134,9 @@ impl Pile<'_> {
         let [tips, cones] = self.by_frame(&points, &flank, &apex, slope);
         let tip_to_apex_mm = distance([x, y, top], self.tip.at);
         let height_mm = self.rig.tip_height_mm - tip_to_apex_mm;
-        let apex_u = (apex.height_variance() * departure.together).sqrt().hypot(ROUNDING_U * apex.rounding_mm());
+        let apex_u = (apex.height_variance() * departure.together)
+            .sqrt()
+            .hypot(ROUNDING_U * apex.rounding_mm());
         let apex_u = apex_u.hypot(GAP_U * slope * flank::gap(&points, [x, y]));
         Ok(Measurement {
             tip: self.tip_angle(height_mm, apex_u, frame_u(&tips)),
@@ -156,13 +158,22 @@ impl Pile<'_> {
         let radius = self.rig.base_diameter_mm / 2.0;
         let (low, high) = (-0.1 * radius, self.tip.at[2] - 0.1 * self.rig.tip_height_mm);
         let on_pile = |at: &[f64; 3]| {
-            (low..high).contains(&at[2]) && (at[0] - self.tip.at[0]).hypot(at[1] - self.tip.at[1]) < 1.02 * radius
+            (low..high).contains(&at[2])
+                && (at[0] - self.tip.at[0]).hypot(at[1] - self.tip.at[1]) < 1.02 * radius
         };
         let point = |pixel: usize| {
             let at = self.shot.point(pixel).map(|p| self.view.place(p)).filter(on_pile)?;
-            Some(Point { pixel, at, ray: self.view.ray(self.shot.directions[pixel]), expected: [at[0], at[1]] })
+            Some(Point {
+                pixel,
+                at,
+                ray: self.view.ray(self.shot.directions[pixel]),
+                expected: [at[0], at[1]],
+            })
         };
-        (0..self.shot.depth_mm.len()).filter(|pixel| !self.shot.edge[*pixel]).filter_map(point).collect()
+        (0..self.shot.depth_mm.len())
+            .filter(|pixel| !self.shot.edge[*pixel])
+            .filter_map(point)
+            .collect()
     }
 
     /// Pixels whose rays pass this level over the base within half its radius: any pile that covers
@@ -172,7 +183,8 @@ impl Pile<'_> {
         let is_across = |direction: &[f64; 2]| {
             let [from, by] = self.view.ray(*direction);
             let t = (level_mm - from[2]) / by[2];
-            let (x, y) = (from[0] + t * by[0] - self.tip.at[0], from[1] + t * by[1] - self.tip.at[1]);
+            let (x, y) =
+                (from[0] + t * by[0] - self.tip.at[0], from[1] + t * by[1] - self.tip.at[1]);
             t > 0.0 && x.hypot(y) < 0.5 * radius
         };
         let pixels = self.shot.directions.iter().enumerate();
@@ -182,7 +194,8 @@ impl Pile<'_> {
     /// Check that depth is quiet where half the height of a pile of 35 deg would be.
     fn is_quiet(&self, limits: &Limits) -> Result<(), Refusal> {
         let across = self.pixels_across(0.35 * self.rig.base_diameter_mm / 2.0).into_iter();
-        let mut noise: Vec<f64> = across.map(|pixel| self.shot.sd_mm[pixel]).filter(|sd| *sd > 0.0).collect();
+        let mut noise: Vec<f64> =
+            across.map(|pixel| self.shot.sd_mm[pixel]).filter(|sd| *sd > 0.0).collect();
         let sd_mm = median(&mut noise);
         match sd_mm > limits.noise_max_mm {
             true => Err(Refusal::TooNoisy { sd_mm, allowed_mm: limits.noise_max_mm }),
@@ -203,16 +216,24 @@ impl Pile<'_> {
     }
 
     /// Both angles of each single frame, degrees, at the pixels of the mean.
-    fn by_frame(&self, points: &[Point], flank: &[Point], apex: &Apex, slope: f64) -> [Vec<f64>; 2] {
+    fn by_frame(
+        &self,
+        points: &[Point],
+        flank: &[Point],
+        apex: &Apex,
+        slope: f64,
+    ) -> [Vec<f64>; 2] {
         let axis = [self.tip.at[0], self.tip.at[1]];
         let of = |frame: &Frame, points: &[Point]| -> Vec<Point> {
-            let place =
-                |p: &Point| self.shot.point_in(frame, p.pixel).map(|at| Point { at: self.view.place(at), ..*p });
+            let place = |p: &Point| {
+                self.shot.point_in(frame, p.pixel).map(|at| Point { at: self.view.place(at), ..*p })
+            };
             points.iter().filter_map(place).collect()
         };
         let frames = self.shot.frames.iter();
         let tips = frames.clone().filter_map(|frame| {
-            let apex = flank::top(&of(frame, points), axis, apex.parameters, slope, self.rig).ok()?;
+            let apex =
+                flank::top(&of(frame, points), axis, apex.parameters, slope, self.rig).ok()?;
             Some(self.rig.angle_deg(self.rig.tip_height_mm - distance(apex.at(), self.tip.at)))
         });
         let cones = frames.filter_map(|frame| {
@@ -236,11 +257,17 @@ impl Pile<'_> {
             Lengths::Stated => (1.0, rig.depth_scale_u * (rig.tip_height_mm - height_mm)),
             Lengths::ByTipHeight => ((height_mm + base) / (rig.tip_height_mm + base), 0.0),
         };
-        let parts = [q * rig.tip_height_u_mm, q * self.tip.u_mm, (1.0 - q) * rig.base_height_u_mm, apex_u, scale_u];
+        let parts = [
+            q * rig.tip_height_u_mm,
+            q * self.tip.u_mm,
+            (1.0 - q) * rig.base_height_u_mm,
+            apex_u,
+            scale_u,
+        ];
         let height_u = parts.iter().map(|u| u * u).sum::<f64>().sqrt();
         let t = 2.0 * height_mm / rig.base_diameter_mm;
-        let tangent_u =
-            (2.0 * height_u / rig.base_diameter_mm).hypot(t * rig.base_diameter_u_mm / rig.base_diameter_mm);
+        let tangent_u = (2.0 * height_u / rig.base_diameter_mm)
+            .hypot(t * rig.base_diameter_u_mm / rig.base_diameter_mm);
         let u_deg = (tangent_u / (1.0 + t * t)).to_degrees().hypot(u_frames_deg);
         Angle { deg: rig.angle_deg(height_mm), u_deg, u_frames_deg }
     }
@@ -255,7 +282,8 @@ impl Rig {
 /// The slope of a cone, with the uncertainty due to the pixels, the level and the hidden sides.
 fn cone_angle(cone: &Flank, departure: &Departure, u_frames_deg: f64) -> Angle {
     let t = cone.parameters[1];
-    let slope_u = (cone.covariance[(1, 1)] * departure.together).sqrt().hypot(UNSEEN_U * departure.slope_sd);
+    let slope_u =
+        (cone.covariance[(1, 1)] * departure.together).sqrt().hypot(UNSEEN_U * departure.slope_sd);
     let u_deg = (slope_u / (1.0 + t * t)).to_degrees().hypot(LEVEL_U_DEG).hypot(u_frames_deg);
     Angle { deg: t.atan().to_degrees(), u_deg, u_frames_deg }
 }

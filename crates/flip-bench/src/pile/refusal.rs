@@ -17,7 +17,9 @@ pub enum Refusal {
         wanted: usize,
     },
     /// Frames of different cameras or modes.
-    #[error("frame {frame} has other intrinsics, depth unit or size than the first: take all frames in one mode")]
+    #[error(
+        "frame {frame} has other intrinsics, depth unit or size than the first: take all frames in one mode"
+    )]
     UnlikeFrames {
         /// Frame index, from 0.
         frame: usize,
@@ -51,7 +53,9 @@ pub enum Refusal {
         allowed_mm: f64,
     },
     /// No level surface around the base.
-    #[error("no bench found: {points} of {all} points lie in one plane; a flat surface must be seen around the base")]
+    #[error(
+        "no bench found: {points} of {all} points lie in one plane; a flat surface must be seen around the base"
+    )]
     BenchNotFound {
         /// Points in the best plane.
         points: usize,
@@ -71,7 +75,9 @@ pub enum Refusal {
         elevation_range_deg: [f64; 2],
     },
     /// The camera moved.
-    #[error("the camera or the rig moved: frame {frame} is off by {pixels:.1} pixels and {mm:.1} mm")]
+    #[error(
+        "the camera or the rig moved: frame {frame} is off by {pixels:.1} pixels and {mm:.1} mm"
+    )]
     CameraMoved {
         /// Frame index, from 0.
         frame: usize,
@@ -113,7 +119,9 @@ pub enum Refusal {
         wanted: usize,
     },
     /// The pile is not under the funnel.
-    #[error("the apex is {offset_mm:.1} mm from the funnel's axis, at most {allowed_mm:.1} mm may be: centre the base")]
+    #[error(
+        "the apex is {offset_mm:.1} mm from the funnel's axis, at most {allowed_mm:.1} mm may be: centre the base"
+    )]
     NotCentred {
         /// Distance, mm.
         offset_mm: f64,

@@ -32,7 +32,10 @@ pub struct Repeats {
 pub fn repeats(measurements: &[Measurement]) -> Result<Repeats, FieldError> {
     let of = |angle: fn(&Measurement) -> super::Angle| {
         let angles: Vec<super::Angle> = measurements.iter().map(angle).collect();
-        let flowability = Flowability::of_repeats("measurements", &angles.iter().map(|a| a.deg).collect::<Vec<_>>())?;
+        let flowability = Flowability::of_repeats(
+            "measurements",
+            &angles.iter().map(|a| a.deg).collect::<Vec<_>>(),
+        )?;
         let own = angles.iter().map(|a| a.u_deg * a.u_deg).sum::<f64>() / angles.len() as f64;
         let spread = flowability.sd_deg.powi(2) / f64::from(flowability.n);
         Ok((flowability, (spread + own).sqrt()))

@@ -38,15 +38,23 @@ impl<'a> Shot<'a> {
         if let Some(frame) = frames.iter().position(|frame| !alike(frame)) {
             return Err(Refusal::UnlikeFrames { frame });
         }
-        let repeats = |k: &usize| frames[..*k].iter().any(|earlier| earlier.depth == frames[*k].depth);
+        let repeats =
+            |k: &usize| frames[..*k].iter().any(|earlier| earlier.depth == frames[*k].depth);
         if let Some(frame) = (1..frames.len()).find(repeats) {
             return Err(Refusal::Frozen { frame });
         }
-        let (depth_mm, sd_mm): (Vec<f64>, Vec<f64>) = (0..pixels).map(|k| mean_depth(frames, k)).unzip();
-        let invalid = depth_mm.iter().filter(|depth| **depth == 0.0).count() as f64 / pixels.max(1) as f64;
+        let (depth_mm, sd_mm): (Vec<f64>, Vec<f64>) =
+            (0..pixels).map(|k| mean_depth(frames, k)).unzip();
+        let invalid =
+            depth_mm.iter().filter(|depth| **depth == 0.0).count() as f64 / pixels.max(1) as f64;
         if invalid > limits.frame_invalid_max {
-            let (invalid_percent, allowed_percent) = (100.0 * invalid, 100.0 * limits.frame_invalid_max);
-            return Err(Refusal::TooManyInvalid { part: "frame", invalid_percent, allowed_percent });
+            let (invalid_percent, allowed_percent) =
+                (100.0 * invalid, 100.0 * limits.frame_invalid_max);
+            return Err(Refusal::TooManyInvalid {
+                part: "frame",
+                invalid_percent,
+                allowed_percent,
+            });
         }
         let colour = (0..pixels).map(|k| mean_colour(frames, k)).collect();
         let lens = first.intrinsics;
@@ -80,7 +88,8 @@ fn at_depth([x, y]: [f64; 2], z: f64) -> Option<[f64; 3]> {
 /// Interquartile mean of the depths, which is robust against outliers and resolves fractions of a
 /// depth step, and their standard deviation from the interquartile range.
 fn mean_depth(frames: &[Frame], k: usize) -> (f64, f64) {
-    let mut seen: Vec<u16> = frames.iter().map(|frame| frame.depth[k]).filter(|depth| *depth > 0).collect();
+    let mut seen: Vec<u16> =
+        frames.iter().map(|frame| frame.depth[k]).filter(|depth| *depth > 0).collect();
     if 2 * seen.len() < frames.len() || seen.len() < 2 {
         return (0.0, 0.0);
     }
@@ -99,7 +108,9 @@ fn edges(depth_mm: &[f64], width: usize) -> Vec<bool> {
         let right = (1..=EDGE_PIXELS).filter(|n| k % width + n < width).map(|n| k + n);
         let below = (1..=EDGE_PIXELS).map(|n| k + n * width);
         for to in right.chain(below) {
-            let is_step = depth_mm.get(to).is_some_and(|there| *there > 0.0 && (there - here).abs() > STEP_MM);
+            let is_step = depth_mm
+                .get(to)
+                .is_some_and(|there| *there > 0.0 && (there - here).abs() > STEP_MM);
             if is_step {
                 (edge[k], edge[to]) = (true, true);
             }
@@ -109,7 +120,9 @@ fn edges(depth_mm: &[f64], width: usize) -> Vec<bool> {
 }
 
 fn mean_colour(frames: &[Frame], k: usize) -> [f64; 3] {
-    let mean = |c: usize| frames.iter().map(|frame| f64::from(frame.colour[k][c])).sum::<f64>() / frames.len() as f64;
+    let mean = |c: usize| {
+        frames.iter().map(|frame| f64::from(frame.colour[k][c])).sum::<f64>() / frames.len() as f64
+    };
     std::array::from_fn(mean)
 }
 

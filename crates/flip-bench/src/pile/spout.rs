@@ -50,8 +50,9 @@ const COLUMNS_TOGETHER: f64 = 3.0;
 pub(super) fn find(shot: &Shot, view: &View, rig: &Rig) -> Result<Spout, Refusal> {
     let missing = |cause| Refusal::FunnelNotFound { tip_height_mm: rig.tip_height_mm, cause };
     let in_band = |z: f64| (BAND[0] * rig.tip_height_mm..=BAND[1] * rig.tip_height_mm).contains(&z);
-    let places: Vec<Option<[f64; 3]>> =
-        (0..shot.depth_mm.len()).map(|k| shot.point(k).map(|p| view.place(p)).filter(|at| in_band(at[2]))).collect();
+    let places: Vec<Option<[f64; 3]>> = (0..shot.depth_mm.len())
+        .map(|k| shot.point(k).map(|p| view.place(p)).filter(|at| in_band(at[2])))
+        .collect();
     let mut parts = components(&places, shot.width());
     parts.retain(|part| part.len() >= PIXELS_MIN);
     if parts.is_empty() {
@@ -62,13 +63,18 @@ pub(super) fn find(shot: &Shot, view: &View, rig: &Rig) -> Result<Spout, Refusal
         (WIDTH[0]..=WIDTH[1]).contains(&((right - left) / rig.spout_diameter_mm))
     };
     let part = parts.into_iter().filter(as_wide).max_by_key(Vec::len);
-    let part = part.ok_or_else(|| missing("what is seen at this height is not as wide as the spout"))?;
+    let part =
+        part.ok_or_else(|| missing("what is seen at this height is not as wide as the spout"))?;
     let [left, right] = span(&part, &places);
     let (radius, x0) = (rig.spout_diameter_mm / 2.0, 0.5 * (left + right));
-    let near = part.iter().filter_map(|k| places[*k]).filter(|at| (at[0] - x0).abs() < 0.6 * radius);
-    let mut behind: Vec<f64> = near.map(|at| at[1] + (radius * radius - (at[0] - x0).powi(2)).sqrt()).collect();
+    let near =
+        part.iter().filter_map(|k| places[*k]).filter(|at| (at[0] - x0).abs() < 0.6 * radius);
+    let mut behind: Vec<f64> =
+        near.map(|at| at[1] + (radius * radius - (at[0] - x0).powi(2)).sqrt()).collect();
     let axis = [x0, median(&mut behind)];
-    let columns = lowest(&part, shot.width(), |k| places[k].is_some_and(|at| (at[0] - x0).abs() < 0.7 * radius));
+    let columns = lowest(&part, shot.width(), |k| {
+        places[k].is_some_and(|at| (at[0] - x0).abs() < 0.7 * radius)
+    });
     Ok(Spout { axis, columns, rows: ends(&part, shot.width()) })
 }
 
@@ -123,14 +129,20 @@ fn ends(part: &[usize], width: usize) -> Vec<[usize; 3]> {
         (*first, *last) = ((*first).min(k % width), (*last).max(k % width));
     }
     let third = rows.len() / 3;
-    rows.into_iter().skip(third).take(third.max(1)).map(|(row, [first, last])| [row, first, last]).collect()
+    rows.into_iter()
+        .skip(third)
+        .take(third.max(1))
+        .map(|(row, [first, last])| [row, first, last])
+        .collect()
 }
 
 /// Position along a profile where its colour changes from that of its beginning to that of its end,
 /// pixels from the border of the first one; `None` without contrast.
 fn step(profile: &[[f64; 3]]) -> Option<f64> {
     let mean = |part: &[[f64; 3]]| -> [f64; 3] {
-        std::array::from_fn(|c| part.iter().map(|colour| colour[c]).sum::<f64>() / part.len() as f64)
+        std::array::from_fn(|c| {
+            part.iter().map(|colour| colour[c]).sum::<f64>() / part.len() as f64
+        })
     };
     let (inside, outside) = (mean(&profile[..ENDS]), mean(&profile[profile.len() - ENDS..]));
     let across: [f64; 3] = std::array::from_fn(|c| inside[c] - outside[c]);
@@ -150,7 +162,9 @@ impl Spout {
         let mut mm_per_pixel = Vec::new();
         for &[u, row] in &self.columns {
             let Some(v) = bottom(shot, colour, [u, row]) else { continue };
-            let height_at = |v: f64| self.meet(view, shot.lens.direction([u as f64, v]), rig.spout_diameter_mm / 2.0);
+            let height_at = |v: f64| {
+                self.meet(view, shot.lens.direction([u as f64, v]), rig.spout_diameter_mm / 2.0)
+            };
             if let (Some(here), Some(below)) = (height_at(v), height_at(v + 1.0)) {
                 heights.push(here);
                 mm_per_pixel.push((here - below).abs());
@@ -183,12 +197,18 @@ impl Spout {
     /// without contrast.
     pub fn edges(&self, shot: &Shot, frame: &Frame) -> [f64; 2] {
         let colour = |k: usize| frame.colour[k].map(f64::from);
-        let mut low: Vec<f64> = self.columns.iter().filter_map(|at| bottom(shot, colour, *at)).collect();
+        let mut low: Vec<f64> =
+            self.columns.iter().filter_map(|at| bottom(shot, colour, *at)).collect();
         let across = |[row, first, last]: &[usize; 3]| {
             let out = |from: usize, by: isize| {
-                let at = |i: usize| from.checked_add_signed(by * i as isize).filter(|u| *u < shot.width());
+                let at = |i: usize| {
+                    from.checked_add_signed(by * i as isize).filter(|u| *u < shot.width())
+                };
                 let pixel = |i: usize| at(i).map(|u| colour(row * shot.width() + u));
-                (0..ENDS + OUTSIDE).map(pixel).collect::<Option<Vec<_>>>().and_then(|profile| step(&profile))
+                (0..ENDS + OUTSIDE)
+                    .map(pixel)
+                    .collect::<Option<Vec<_>>>()
+                    .and_then(|profile| step(&profile))
             };
             let (left, right) = (out(first + ENDS, -1)?, out(last.checked_sub(ENDS)?, 1)?);
             Some(((first + ENDS) as f64 - left + (last - ENDS) as f64 + right) / 2.0)
@@ -204,7 +224,8 @@ fn bottom(shot: &Shot, colour: impl Fn(usize) -> [f64; 3], [u, row]: [usize; 2])
     if row + OUTSIDE >= shot.height() {
         return None;
     }
-    let profile: Vec<[f64; 3]> = (first..=row + OUTSIDE).map(|v| colour(v * shot.width() + u)).collect();
+    let profile: Vec<[f64; 3]> =
+        (first..=row + OUTSIDE).map(|v| colour(v * shot.width() + u)).collect();
     Some(first as f64 - 0.5 + step(&profile)?)
 }
 
@@ -212,14 +233,21 @@ fn bottom(shot: &Shot, colour: impl Fn(usize) -> [f64; 3], [u, row]: [usize; 2])
 ///
 /// # Errors
 /// The first frame in which they are not.
-pub(super) fn still(shot: &Shot, spout: &Spout, on_bench: &[usize], limits: &Limits) -> Result<(), Refusal> {
+pub(super) fn still(
+    shot: &Shot,
+    spout: &Spout,
+    on_bench: &[usize],
+    limits: &Limits,
+) -> Result<(), Refusal> {
     let edges: Vec<[f64; 2]> = shot.frames.iter().map(|frame| spout.edges(shot, frame)).collect();
-    let usual: [f64; 2] = std::array::from_fn(|c| median(&mut edges.iter().map(|edge| edge[c]).collect::<Vec<_>>()));
+    let usual: [f64; 2] =
+        std::array::from_fn(|c| median(&mut edges.iter().map(|edge| edge[c]).collect::<Vec<_>>()));
     for (frame, edge) in edges.iter().enumerate() {
         let pixels = (edge[0] - usual[0]).abs().max((edge[1] - usual[1]).abs());
         let taken = &shot.frames[frame];
         let depth = |k: &usize| f64::from(taken.depth[*k]) * taken.unit_mm();
-        let apart = on_bench.iter().filter(|k| taken.depth[**k] > 0).map(|k| depth(k) - shot.depth_mm[*k]);
+        let apart =
+            on_bench.iter().filter(|k| taken.depth[**k] > 0).map(|k| depth(k) - shot.depth_mm[*k]);
         let mm = median(&mut apart.collect::<Vec<_>>()).abs();
         if pixels > limits.move_max_pixels || mm > limits.move_max_mm {
             return Err(Refusal::CameraMoved { frame, pixels, mm });

@@ -1,5 +1,7 @@
 use super::*;
-use crate::emulate::camera::{CameraFault, Cone, Heap, Noise, Optics, Pose, Scene, Studio, Surface};
+use crate::emulate::camera::{
+    CameraFault, Cone, Heap, Noise, Optics, Pose, Scene, Studio, Surface,
+};
 use crate::emulate::camera::{faulty_frames, faulty_uploads, frames};
 
 fn scene(deg: f64) -> Scene {
@@ -21,7 +23,10 @@ fn an_exact_picture_gives_the_angle() {
         let found = measure(&taken, &Rig::default(), &Limits::default()).unwrap();
         assert!((found.tip.deg - deg).abs() < 0.25, "{deg}: {found:?}");
         assert!((found.cone.deg - deg).abs() < 0.05, "{deg}: {found:?}");
-        assert!((found.tip_height_seen_mm - 60.0).abs() < 0.2 && (found.elevation_deg - 30.0).abs() < 0.05);
+        assert!(
+            (found.tip_height_seen_mm - 60.0).abs() < 0.2
+                && (found.elevation_deg - 30.0).abs() < 0.05
+        );
     }
 }
 
@@ -42,7 +47,8 @@ fn drawn_piles_are_measured_within_half_a_degree_and_the_uncertainty_holds_the_e
     for deg in [25.0, 37.5, 50.0] {
         for seed in 1..=4 {
             let studio = Studio::drawn(deg, seed);
-            let taken = frames(&studio.scene, &studio.pose, &studio.optics, &studio.noise, seed, 10);
+            let taken =
+                frames(&studio.scene, &studio.pose, &studio.optics, &studio.noise, seed, 10);
             let rig = Rig {
                 tip_height_mm: 60.0 + studio.ruler_mm[0],
                 base_diameter_mm: 60.0 + studio.ruler_mm[1],
@@ -53,7 +59,10 @@ fn drawn_piles_are_measured_within_half_a_degree_and_the_uncertainty_holds_the_e
             tips.push([found.tip.deg - deg, found.tip.u_deg]);
             cones.push([found.cone.deg - studio.cone.cone_deg(), found.cone.u_deg]);
             let (tip, cone) = (tips[tips.len() - 1], cones[cones.len() - 1]);
-            println!("{deg} | {seed} | {:+.2} | {:.2} | {:+.2} | {:.2}", tip[0], tip[1], cone[0], cone[1]);
+            println!(
+                "{deg} | {seed} | {:+.2} | {:.2} | {:+.2} | {:.2}",
+                tip[0], tip[1], cone[0], cone[1]
+            );
         }
     }
     for errors in [tips, cones] {
@@ -73,7 +82,9 @@ fn every_fault_of_the_camera_is_refused_by_its_name() {
         (CameraFault::Holes, |r| {
             matches!(r, Refusal::TooManyInvalid { part: "pile", .. } | Refusal::ApexNotFound { .. })
         }),
-        (CameraFault::HeavyNoise, |r| matches!(r, Refusal::TooNoisy { .. } | Refusal::BenchNotFound { .. })),
+        (CameraFault::HeavyNoise, |r| {
+            matches!(r, Refusal::TooNoisy { .. } | Refusal::BenchNotFound { .. })
+        }),
         (CameraFault::FunnelMissing, |r| matches!(r, Refusal::FunnelNotFound { .. })),
         (CameraFault::PileMissing, |r| matches!(r, Refusal::PileNotFound { .. })),
         (CameraFault::BaseNotCovered, |r| matches!(r, Refusal::BaseNotCovered { .. })),
@@ -85,10 +96,12 @@ fn every_fault_of_the_camera_is_refused_by_its_name() {
     ];
     for (fault, expected) in cases {
         let taken = faulty_frames(fault, &scene(35.0), &Optics::coarse(), 5);
-        let refusal = measure(&taken, &Rig::default(), &Limits::default()).expect_err(&format!("{fault:?}"));
+        let refusal =
+            measure(&taken, &Rig::default(), &Limits::default()).expect_err(&format!("{fault:?}"));
         assert!(expected(&refusal), "{fault:?}: {refusal}");
     }
-    let uploads = faulty_uploads(CameraFault::TruncatedFile, &scene(35.0), &Optics::coarse(), 5).unwrap();
+    let uploads =
+        faulty_uploads(CameraFault::TruncatedFile, &scene(35.0), &Optics::coarse(), 5).unwrap();
     let broken: Vec<_> = uploads.iter().filter_map(|upload| upload.decode().err()).collect();
     assert_eq!(broken.len(), 1);
     assert_eq!(broken[0].field, "depth");
@@ -103,7 +116,10 @@ fn a_rig_that_is_not_the_one_in_view_is_refused() {
     let mut aside = scene(35.0);
     aside.funnel.as_mut().unwrap().off_centre_mm = [9.0, 0.0];
     let refused = measured(&aside, &Rig::default());
-    assert!(matches!(refused, Err(Refusal::NotCentred { .. } | Refusal::BaseNotCovered { .. })), "{refused:?}");
+    assert!(
+        matches!(refused, Err(Refusal::NotCentred { .. } | Refusal::BaseNotCovered { .. })),
+        "{refused:?}"
+    );
     let rig = Rig { base_diameter_mm: f64::NAN, ..Rig::default() };
     assert!(matches!(measured(&scene(35.0), &rig), Err(Refusal::Settings(_))));
 }
@@ -112,7 +128,9 @@ fn a_rig_that_is_not_the_one_in_view_is_refused() {
 fn a_wrong_depth_scale_moves_the_stated_lengths_and_not_those_by_the_tip() {
     let optics = Optics { scale_error: 0.02, ..Optics::default() };
     let taken = frames(&scene(35.0), &Pose::default(), &optics, &Noise::default(), 2, 10);
-    let by = |lengths| measure(&taken, &Rig { lengths, ..Rig::default() }, &Limits::default()).unwrap().tip.deg;
+    let by = |lengths| {
+        measure(&taken, &Rig { lengths, ..Rig::default() }, &Limits::default()).unwrap().tip.deg
+    };
     // L is 39 mm and looks 2 % shorter: h is 0.8 mm too high, 1 deg.
     assert!(
         (by(Lengths::Stated) - by(Lengths::ByTipHeight)) > 0.6,

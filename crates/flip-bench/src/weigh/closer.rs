@@ -35,7 +35,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             seen.extend(self.bench.readings(ASK_EVERY_S)?);
             found = Rest::of(&seen).or(found);
             let is_long = |rest: &Rest| rest.seconds >= self.settings.rest_s;
-            let is_sure = |rest: &Rest| uncertainty::of_mean_mg(rest).is_some_and(|u_mg| u_mg <= sure_mg);
+            let is_sure =
+                |rest: &Rest| uncertainty::of_mean_mg(rest).is_some_and(|u_mg| u_mg <= sure_mg);
             let is_spent = self.bench.elapsed_s() >= until_s;
             match found {
                 Some(rest) if is_spent || (is_long(&rest) && is_sure(&rest)) => return Ok(rest),
@@ -52,7 +53,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
         let rest = self.rest()?;
         let shown = self.bench.read()?;
-        let furthest_mg = if shown.mass_mg.abs() > rest.mean_mg.abs() { shown.mass_mg } else { rest.mean_mg };
+        let furthest_mg =
+            if shown.mass_mg.abs() > rest.mean_mg.abs() { shown.mass_mg } else { rest.mean_mg };
         let halt = match furthest_mg {
             _ if !shown.stable => Halt::NotStable,
             mg if !(mg.is_finite() && shown.mass_mg.is_finite()) => Halt::NotANumber,
@@ -100,7 +102,11 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     /// knows.
     pub(super) fn whole_mg(&self, reading_mg: f64) -> f64 {
         let step_mg = self.order.readability_mg;
-        if self.watched.zero.is_some() { (reading_mg / step_mg).round() * step_mg } else { reading_mg }
+        if self.watched.zero.is_some() {
+            (reading_mg / step_mg).round() * step_mg
+        } else {
+            reading_mg
+        }
     }
 
     /// Check that the display does not show the vial again, as after a restart or a lost tare.
@@ -121,5 +127,6 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
 /// restarted.
 pub(super) fn is_zeroed(before: Reading, now: Reading, step_mg: f64) -> bool {
     let nothing_mg = step_mg.max(1.0) / 2.0;
-    now.mass_mg.abs() <= nothing_mg + 1e-9 && before.mass_mg - now.mass_mg >= 3.0 * nothing_mg - 1e-9
+    now.mass_mg.abs() <= nothing_mg + 1e-9
+        && before.mass_mg - now.mass_mg >= 3.0 * nothing_mg - 1e-9
 }

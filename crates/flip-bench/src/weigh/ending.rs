@@ -9,11 +9,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     /// Level the spoon and take it away, whatever happened and even if events cannot be reported.
     pub(super) fn withdraw(&mut self, dosed: End) -> End {
-        let told = self.careful(|it| it.tell(&Event::Phase(Phase::Settling)).map(|()| End::Course(None)));
+        let told =
+            self.careful(|it| it.tell(&Event::Phase(Phase::Settling)).map(|()| End::Course(None)));
         let ended = if matches!(dosed, End::Aborted(_)) { dosed } else { worse(dosed, told) };
-        for (what, motion) in
-            [("levelled", B::level as fn(&mut B) -> Result<(), DeviceError>), ("taken away", B::retract)]
-        {
+        for (what, motion) in [
+            ("levelled", B::level as fn(&mut B) -> Result<(), DeviceError>),
+            ("taken away", B::retract),
+        ] {
             let cause = match catch_unwind(AssertUnwindSafe(|| motion(self.bench))) {
                 Ok(Ok(())) => continue,
                 Ok(Err(fault)) => fault.to_string(),
@@ -22,7 +24,9 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             self.must_look = true;
             return End::Aborted(match ended {
                 End::Aborted(first) => {
-                    format!("the spoon could not be {what}, look at the bench: {cause}; before that: {first}")
+                    format!(
+                        "the spoon could not be {what}, look at the bench: {cause}; before that: {first}"
+                    )
                 }
                 _ => format!("the spoon could not be {what}, look at the bench: {cause}"),
             });
@@ -35,7 +39,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         if self.settings.stand_s <= 0.0 || self.ticks.is_empty() {
             return ended;
         }
-        let last_mg = result::last_reading_mg(&self.ticks).map_or(0.0, |last_mg| self.net_mg(last_mg));
+        let last_mg =
+            result::last_reading_mg(&self.ticks).map_or(0.0, |last_mg| self.net_mg(last_mg));
         let ran_its_course = matches!(ended, End::Course(_) | End::Blocked(_));
         let looked = self.careful(|it| {
             let mut after = it.bench.stand(it.settings.stand_s)?;
@@ -56,7 +61,9 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             let rest = it.watched.last.unwrap_or(after.rest);
             let fell_mg = last_mg - it.net_mg(rest.mean_mg.min(after.reading.mass_mg));
             Ok(match rest.mean_mg {
-                mass_mg if !(mass_mg.is_finite() && after.reading.mass_mg.is_finite()) => End::of(Halt::NotANumber),
+                mass_mg if !(mass_mg.is_finite() && after.reading.mass_mg.is_finite()) => {
+                    End::of(Halt::NotANumber)
+                }
                 _ if !after.still || (rest.last_mg - rest.mean_mg).abs() > Limits::FALL_MG_MAX => {
                     End::of(Halt::NotStable)
                 }
@@ -73,7 +80,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         if !matches!(ended, End::Course(_) | End::Blocked(_)) || self.go_on().is_err() {
             return ended;
         }
-        let discarded = self.careful(|it| it.bench.discard().map(|()| End::Course(None)).map_err(Halted::from));
+        let discarded =
+            self.careful(|it| it.bench.discard().map(|()| End::Course(None)).map_err(Halted::from));
         match (ended, discarded) {
             // The mass is known nevertheless.
             (End::Course(_), End::Aborted(fault)) => {

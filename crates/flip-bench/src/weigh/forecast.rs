@@ -150,7 +150,13 @@ impl Forecast {
     }
 
     /// The mass that such a shake exceeds with probability `risk`, mg.
-    pub fn upper_mg(&self, falls: &[Fall], readability_mg: f64, pitch_deg: f64, shake_mm: f64) -> f64 {
+    pub fn upper_mg(
+        &self,
+        falls: &[Fall],
+        readability_mg: f64,
+        pitch_deg: f64,
+        shake_mm: f64,
+    ) -> f64 {
         if shake_mm <= 0.0 {
             return 0.0;
         }
@@ -182,8 +188,16 @@ impl Forecast {
     }
 
     /// Mean and variance of the level of a shake, after these.
-    fn filtered(&self, falls: &[Fall], readability_mg: f64, pitch_deg: f64, shake_mm: f64) -> (f64, f64) {
-        let place = |pitch_deg: f64, shake_mm: f64| self.per_deg * pitch_deg + self.per_ln_mm * libm::log(shake_mm);
+    fn filtered(
+        &self,
+        falls: &[Fall],
+        readability_mg: f64,
+        pitch_deg: f64,
+        shake_mm: f64,
+    ) -> (f64, f64) {
+        let place = |pitch_deg: f64, shake_mm: f64| {
+            self.per_deg * pitch_deg + self.per_ln_mm * libm::log(shake_mm)
+        };
         // The level with its pitch and amplitude terms removed: only randomness and depletion
         // change it.
         let (mut at, mut variance) = (self.level, self.level_sd.powi(2));
@@ -290,7 +304,11 @@ mod tests {
             let upper = |pitch_deg, shake_mm| GENERIC.upper_mg(&falls, 1.0, pitch_deg, shake_mm);
             assert!(upper(10.0, 2.0) < upper(20.0, 2.0) && upper(10.0, 2.0) < upper(10.0, 8.0));
             assert_eq!(upper(10.0, 0.0), 0.0);
-            assert!((GENERIC.chance_above(&falls, 1.0, 10.0, 2.0, upper(10.0, 2.0)) - GENERIC.risk).abs() < 1e-6);
+            assert!(
+                (GENERIC.chance_above(&falls, 1.0, 10.0, 2.0, upper(10.0, 2.0)) - GENERIC.risk)
+                    .abs()
+                    < 1e-6
+            );
         }
     }
 
@@ -304,7 +322,8 @@ mod tests {
     }
 
     #[test]
-    fn a_gentle_first_shake_of_an_unknown_powder_is_no_risk_for_five_milligrams_and_a_hard_one_is() {
+    fn a_gentle_first_shake_of_an_unknown_powder_is_no_risk_for_five_milligrams_and_a_hard_one_is()
+    {
         assert!(GENERIC.chance_above(&[], 1.0, 4.0, 1.3, 6.0) < GENERIC.risk);
         assert!(GENERIC.chance_above(&[], 1.0, 20.0, 16.0, 6.0) > GENERIC.risk);
     }
@@ -313,15 +332,29 @@ mod tests {
     fn a_powder_that_came_in_large_pieces_before_is_expected_to_do_so_again() {
         let doses = |mass_mg: f64| vec![vec![fall(8.0, 3.0, 0.0), fall(12.0, 3.0, mass_mg)]; 5];
         let upper = |forecast: &Forecast| forecast.upper_mg(&[], 1.0, 12.0, 3.0);
-        let [small, large] = [1.0, 12.0].map(|mass_mg| upper(&GENERIC.informed(&doses(mass_mg), 1.0)));
-        assert!(small < upper(&GENERIC) && upper(&GENERIC) < large, "{small} {} {large}", upper(&GENERIC));
+        let [small, large] =
+            [1.0, 12.0].map(|mass_mg| upper(&GENERIC.informed(&doses(mass_mg), 1.0)));
+        assert!(
+            small < upper(&GENERIC) && upper(&GENERIC) < large,
+            "{small} {} {large}",
+            upper(&GENERIC)
+        );
         assert_eq!(GENERIC.informed(&[], 1.0), GENERIC);
-        assert_eq!(GENERIC.informed(&[vec![fall(8.0, 3.0, 0.0)]], 1.0), GENERIC, "a dose without a piece says nothing");
+        assert_eq!(
+            GENERIC.informed(&[vec![fall(8.0, 3.0, 0.0)]], 1.0),
+            GENERIC,
+            "a dose without a piece says nothing"
+        );
     }
 
     #[test]
     fn nothing_that_can_be_read_makes_the_bound_not_a_number() {
-        let odd = [fall(10.0, 3.0, f64::NAN), fall(-10.0, 0.0, 3.0), fall(50.0, 16.0, -40.0), fall(50.0, 16.0, 1e6)];
+        let odd = [
+            fall(10.0, 3.0, f64::NAN),
+            fall(-10.0, 0.0, 3.0),
+            fall(50.0, 16.0, -40.0),
+            fall(50.0, 16.0, 1e6),
+        ];
         assert!(GENERIC.upper_mg(&odd, 1.0, 50.0, 16.0).is_finite());
     }
 }

@@ -5,7 +5,9 @@
 
 use super::forecast::{Fall, Forecast};
 use super::silence::Silence;
-use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX, SHAKE_MM_MIN};
+use flip_core::domain::bench::{
+    Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX, SHAKE_MM_MIN,
+};
 use flip_core::domain::vial::VialFlaw;
 use serde::Serialize;
 
@@ -135,7 +137,9 @@ pub enum Cut {
     #[error("cut to the bounds of the spoon")]
     Bounds,
     /// Too much might have fallen.
-    #[error("made gentler: as proposed {upper_mg:.1} mg might fall, and there is room for {room_mg:.1} mg")]
+    #[error(
+        "made gentler: as proposed {upper_mg:.1} mg might fall, and there is room for {room_mg:.1} mg"
+    )]
     Gentler {
         /// Forecast for the proposal, mg.
         upper_mg: f64,
@@ -178,7 +182,9 @@ pub enum Halt {
     #[error("the time is spent")]
     TimeSpent,
     /// Even the gentlest shake might release too much.
-    #[error("even the gentlest shake might let {upper_mg:.1} mg fall, and there is room for {room_mg:.1} mg")]
+    #[error(
+        "even the gentlest shake might let {upper_mg:.1} mg fall, and there is room for {room_mg:.1} mg"
+    )]
     NoRoom {
         /// Forecast for the gentlest shake, mg.
         upper_mg: f64,
@@ -186,7 +192,9 @@ pub enum Halt {
         room_mg: f64,
     },
     /// Full shakes at the end of the pitch release nothing.
-    #[error("the last {shakes} full shakes at the end of the pitch gave nothing: the spoon is empty or blocked")]
+    #[error(
+        "the last {shakes} full shakes at the end of the pitch gave nothing: the spoon is empty or blocked"
+    )]
     Blocked {
         /// Number of shakes.
         shakes: usize,
@@ -239,7 +247,9 @@ pub enum Halt {
         fell_mg: f64,
     },
     /// The reading rose without a shake.
-    #[error("the reading rose by {rose_mg} mg without a shake: a draught, a leaking spoon or a hand on the balance")]
+    #[error(
+        "the reading rose by {rose_mg} mg without a shake: a draught, a leaking spoon or a hand on the balance"
+    )]
     Rose {
         /// Size of the rise, mg.
         rose_mg: f64,
@@ -253,13 +263,19 @@ impl Halt {
     /// Whether the weighing has run its course: nothing is wrong, and the reading decides the
     /// outcome.
     pub fn is_expected(&self) -> bool {
-        matches!(self, Self::TargetReached | Self::StepsSpent | Self::TimeSpent | Self::NoRoom { .. })
+        matches!(
+            self,
+            Self::TargetReached | Self::StepsSpent | Self::TimeSpent | Self::NoRoom { .. }
+        )
     }
 
     /// Whether the halt is about the spoon's behaviour, which does not matter for a dose that is
     /// complete.
     pub(super) fn is_of_the_spoon(&self) -> bool {
-        matches!(self, Self::NoRoom { .. } | Self::Blocked { .. } | Self::Deaf { .. } | Self::Unproven)
+        matches!(
+            self,
+            Self::NoRoom { .. } | Self::Blocked { .. } | Self::Deaf { .. } | Self::Unproven
+        )
     }
 }
 
@@ -315,18 +331,23 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
 /// Either the display did not change at the last shake, or it moved as a load cell does while
 /// settling, and stopped before it had settled: as much again may then have fallen as it shows.
 fn is_in_doubt(limits: &Limits, seen: &Situation<'_>, action: Action) -> bool {
-    let (pitch_deg, shake_mm) = (seen.pitch_deg + action.incline_change_deg, action.executed_shake_mm());
+    let (pitch_deg, shake_mm) =
+        (seen.pitch_deg + action.incline_change_deg, action.executed_shake_mm());
     let Some(unproven) = seen.unproven.filter(|_| shake_mm > 0.0) else { return false };
     let fell_mg = seen.falls.last().map_or(0.0, |fall| fall.mass_mg.max(0.0));
     let room_mg = seen.target_mg + seen.tolerance_upper_mg - seen.now.mass_mg - fell_mg;
-    let chance =
-        |forecast: &Forecast| forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg);
-    unproven > 0 || (!seen.is_felt && limits.forecast.is_some_and(|forecast| chance(&forecast) > forecast.risk))
+    let chance = |forecast: &Forecast| {
+        forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg)
+    };
+    unproven > 0
+        || (!seen.is_felt
+            && limits.forecast.is_some_and(|forecast| chance(&forecast) > forecast.risk))
 }
 
 /// Check that the reading can be relied on.
 fn is_usable(limits: &Limits, seen: &Situation<'_>) -> Result<(), Halt> {
-    let numbers = [seen.now.mass_mg, seen.pitch_deg, seen.target_mg, seen.seconds, seen.moved_s, seen.read_s];
+    let numbers =
+        [seen.now.mass_mg, seen.pitch_deg, seen.target_mg, seen.seconds, seen.moved_s, seen.read_s];
     if numbers.iter().any(|number| !number.is_finite()) {
         return Err(Halt::NotANumber);
     }
@@ -362,8 +383,9 @@ fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
     let gave = |fall: &Fall| fall.mass_mg > limits.readability_mg - 1e-9;
     let last = falls.iter().rposition(gave)?;
     let (since, last) = (&falls[last + 1..], falls[last]);
-    let should_give =
-        |fall: &&Fall| fall.pitch_deg > last.pitch_deg - AT_THE_END_DEG && fall.shake_mm >= FULL * last.shake_mm;
+    let should_give = |fall: &&Fall| {
+        fall.pitch_deg > last.pitch_deg - AT_THE_END_DEG && fall.shake_mm >= FULL * last.shake_mm
+    };
     let worth = |fall: &Fall| limits.forecast.map_or(1.0, |forecast| forecast.worth(fall, &last));
     let all: f64 = since.iter().filter(should_give).map(worth).sum();
     (all >= limits.deaf_shakes).then_some(since.len())
@@ -372,7 +394,10 @@ fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
 fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {
     let change = proposed.incline_change_deg.clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX);
     let pitch = (pitch_deg + change).clamp(limits.pitch.lower_deg, limits.pitch.upper_deg);
-    Action { incline_change_deg: pitch - pitch_deg, shake_mm: proposed.shake_mm.clamp(0.0, limits.shake_mm_max) }
+    Action {
+        incline_change_deg: pitch - pitch_deg,
+        shake_mm: proposed.shake_mm.clamp(0.0, limits.shake_mm_max),
+    }
 }
 
 /// The first candidate whose forecast leaves room: the action itself, gentler ones at its pitch,
@@ -389,7 +414,8 @@ fn gentle(
     let pitch_of = |action: &Action| seen.pitch_deg + action.incline_change_deg;
     let has_room = |action: &Action| {
         let (pitch_deg, shake_mm) = (pitch_of(action), action.executed_shake_mm());
-        let chance = forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg);
+        let chance =
+            forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg);
         (chance <= forecast.risk).then_some(chance)
     };
     let is_safe = |action: &Action| {
@@ -400,17 +426,23 @@ fn gentle(
         })
     };
     let upper_mg = |action: &Action| {
-        forecast.upper_mg(seen.falls, limits.readability_mg, pitch_of(action), action.executed_shake_mm())
+        forecast.upper_mg(
+            seen.falls,
+            limits.readability_mg,
+            pitch_of(action),
+            action.executed_shake_mm(),
+        )
     };
     if is_safe(&action) {
         return Ok(Allowed { action, cut: (action != proposed).then_some(Cut::Bounds) });
     }
     let cut = Some(Cut::Gentler { upper_mg: upper_mg(&action), room_mg });
     let gentlest = Action { shake_mm: SHAKE_MM_MIN, ..action };
-    let gentler = std::iter::successors(Some(GENTLER * action.shake_mm), |shake_mm| Some(GENTLER * shake_mm))
-        .take_while(|shake_mm| *shake_mm > SHAKE_MM_MIN)
-        .map(|shake_mm| Action { shake_mm, ..action })
-        .chain([gentlest]);
+    let gentler =
+        std::iter::successors(Some(GENTLER * action.shake_mm), |shake_mm| Some(GENTLER * shake_mm))
+            .take_while(|shake_mm| *shake_mm > SHAKE_MM_MIN)
+            .map(|shake_mm| Action { shake_mm, ..action })
+            .chain([gentlest]);
     let lowest_deg = (seen.pitch_deg - INCLINE_CHANGE_DEG_MAX).max(limits.pitch.lower_deg);
     let lower = (1..)
         .map(|k| pitch_of(&action) - f64::from(k) * LOWER_DEG)

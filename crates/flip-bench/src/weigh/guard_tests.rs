@@ -109,19 +109,31 @@ fn what_might_let_too_much_fall_is_made_gentler_then_lower_then_ends_the_dose() 
     // The room is 10 mg; spoons that released little, much, and ever more at 30 deg.
     let calm = [fall(28.0, 2.0, 1.0), fall(30.0, 2.0, 1.0), fall(30.0, 2.0, 1.0)];
     let proposed = action(2.0, 2.0);
-    assert_eq!(guard(&careful(), &seen(&calm), proposed), Ok(Allowed { action: proposed, cut: None }));
+    assert_eq!(
+        guard(&careful(), &seen(&calm), proposed),
+        Ok(Allowed { action: proposed, cut: None })
+    );
     let hard = guard(&careful(), &seen(&calm), action(2.0, 16.0)).unwrap();
     assert!(hard.action.incline_change_deg == 2.0 && hard.action.shake_mm < 16.0, "{hard:?}");
-    assert!(matches!(hard.cut, Some(Cut::Gentler { upper_mg, room_mg }) if upper_mg > room_mg && room_mg == 10.0));
+    assert!(
+        matches!(hard.cut, Some(Cut::Gentler { upper_mg, room_mg }) if upper_mg > room_mg && room_mg == 10.0)
+    );
 
     let near = Situation { before: reading(13.0), now: reading(14.0), ..seen(&calm) };
     let lower = guard(&careful(), &near, proposed).unwrap().action;
     assert!(lower.incline_change_deg < 2.0 && lower.shake_mm == SHAKE_MM_MIN, "{lower:?}");
 
     let wild = [fall(28.0, 0.9, 6.0), fall(30.0, 0.9, 9.0), fall(30.0, 0.9, 12.0)];
-    let halt = guard(&careful(), &Situation { before: reading(13.0), now: reading(14.0), ..seen(&wild) }, proposed)
-        .unwrap_err();
-    assert!(matches!(halt, Halt::NoRoom { upper_mg, room_mg: 2.0 } if upper_mg > 2.0) && halt.is_expected());
+    let halt = guard(
+        &careful(),
+        &Situation { before: reading(13.0), now: reading(14.0), ..seen(&wild) },
+        proposed,
+    )
+    .unwrap_err();
+    assert!(
+        matches!(halt, Halt::NoRoom { upper_mg, room_mg: 2.0 } if upper_mg > 2.0)
+            && halt.is_expected()
+    );
 }
 
 #[test]
@@ -135,7 +147,10 @@ fn shakes_that_should_give_and_do_not_end_a_dose_after_something_has_fallen() {
         // Gentler ones, or ones at a lower pitch, may well release nothing.
         ([vec![fall(20.0, 4.0, 2.0)], silent(12, 20.0, 2.0)].concat(), false),
         ([vec![fall(20.0, 4.0, 2.0)], silent(12, 16.0, 4.0)].concat(), false),
-        ([vec![fall(20.0, 4.0, 2.0)], silent(8, 20.0, 4.0), vec![fall(24.0, 4.0, 1.0)]].concat(), false),
+        (
+            [vec![fall(20.0, 4.0, 2.0)], silent(8, 20.0, 4.0), vec![fall(24.0, 4.0, 1.0)]].concat(),
+            false,
+        ),
     ] {
         let situation = Situation { steps: 20, ..seen(&falls) };
         let halted = matches!(guard(&limits, &situation, action(0.0, 4.0)), Err(Halt::Deaf { .. }));
@@ -145,31 +160,49 @@ fn shakes_that_should_give_and_do_not_end_a_dose_after_something_has_fallen() {
 
 #[test]
 fn harder_shakes_that_give_nothing_count_for_more() {
-    let falls = |n: usize, shake_mm: f64| [vec![fall(20.0, 2.0, 2.0)], vec![fall(20.0, shake_mm, 0.0); n]].concat();
+    let falls = |n: usize, shake_mm: f64| {
+        [vec![fall(20.0, 2.0, 2.0)], vec![fall(20.0, shake_mm, 0.0); n]].concat()
+    };
     // With an exponent of 0.75, a shake four times as large is worth 2.8.
-    for (n, shake_mm, expected) in [(7, 2.0, false), (8, 2.0, true), (2, 8.0, false), (3, 8.0, true)] {
-        assert_eq!(deaf(&careful(), &falls(n, shake_mm)).is_some(), expected, "{n} of {shake_mm} mm");
+    for (n, shake_mm, expected) in
+        [(7, 2.0, false), (8, 2.0, true), (2, 8.0, false), (3, 8.0, true)]
+    {
+        assert_eq!(
+            deaf(&careful(), &falls(n, shake_mm)).is_some(),
+            expected,
+            "{n} of {shake_mm} mm"
+        );
     }
 }
 
 #[test]
-fn what_a_standing_display_may_hide_is_no_room_for_more_and_its_dose_does_not_end_as_if_it_were_known() {
+fn what_a_standing_display_may_hide_is_no_room_for_more_and_its_dose_does_not_end_as_if_it_were_known()
+ {
     let gave: Vec<Fall> = (0..3).map(|k| fall(16.0 + 2.0 * f64::from(k), 4.0, 2.0)).collect();
-    let silent = |n: usize| [gave.clone(), (0..n).map(|k| fall(22.0 + k as f64, 4.0, 0.0)).collect()].concat();
+    let silent = |n: usize| {
+        [gave.clone(), (0..n).map(|k| fall(22.0 + k as f64, 4.0, 0.0)).collect()].concat()
+    };
     let doubting = Limits { readability_mg: 0.1, deaf_shakes: f64::INFINITY, ..careful() };
     let at = |limits: &Limits, falls: &[Fall], steps: u32| {
         let pitch_deg = falls.last().map_or(0.0, |fall| fall.pitch_deg);
-        let situation = Situation { steps, before: reading(6.0), now: reading(6.0), pitch_deg, ..seen(falls) };
+        let situation =
+            Situation { steps, before: reading(6.0), now: reading(6.0), pitch_deg, ..seen(falls) };
         guard(limits, &situation, action(1.0, 4.0))
     };
     let as_proposed = Ok(Allowed { action: action(1.0, 4.0), cut: None });
     assert_eq!(at(&doubting, &silent(0), 3), as_proposed);
     // One unseen shake of 2 mg, plus another, fit into 10 mg.
     assert_eq!(at(&doubting, &silent(1), 4), as_proposed);
-    let ends = (1..12).find(|n| at(&doubting, &silent(*n), 4).is_err()).expect("it does not go on for ever");
+    let ends = (1..12)
+        .find(|n| at(&doubting, &silent(*n), 4).is_err())
+        .expect("it does not go on for ever");
     assert!((3..8).contains(&ends), "{ends} shakes of 2 mg and more");
     assert_eq!(at(&doubting, &silent(ends), 4), Err(Halt::Deaf { shakes: ends }));
-    assert_eq!(at(&doubting, &silent(ends), 10), Err(Halt::Deaf { shakes: ends }), "its steps are not merely spent");
+    assert_eq!(
+        at(&doubting, &silent(ends), 10),
+        Err(Halt::Deaf { shakes: ends }),
+        "its steps are not merely spent"
+    );
     assert_eq!(at(&doubting, &silent(0), 10), Err(Halt::StepsSpent));
     let believing = Limits { stands_still: 0.0, ..doubting };
     assert_eq!(at(&believing, &silent(ends), 4), as_proposed);
@@ -179,8 +212,14 @@ fn what_a_standing_display_may_hide_is_no_room_for_more_and_its_dose_does_not_en
 fn no_shake_follows_one_that_a_display_was_silent_through_before_it_shows_another_number() {
     let quiet = [fall(4.0, 1.0, 0.0)];
     let at = |unproven, proposed| {
-        let situation =
-            Situation { steps: 1, before: reading(0.0), now: reading(0.0), pitch_deg: 4.0, unproven, ..seen(&quiet) };
+        let situation = Situation {
+            steps: 1,
+            before: reading(0.0),
+            now: reading(0.0),
+            pitch_deg: 4.0,
+            unproven,
+            ..seen(&quiet)
+        };
         guard(&careful(), &situation, proposed).map(|allowed| allowed.action)
     };
     let gentle = action(2.0, 1.0);
@@ -203,19 +242,27 @@ fn a_display_that_was_not_seen_to_come_to_rest_may_hide_as_much_again() {
             ..seen(&gave)
         };
         let upper_mg = Forecast::GENERIC.upper_mg(&gave, 1.0, 20.0, 2.0);
-        (guard(&careful(), &situation, action(0.0, 2.0)).map(|allowed| allowed.action), 16.0 - now_mg - upper_mg)
+        (
+            guard(&careful(), &situation, action(0.0, 2.0)).map(|allowed| allowed.action),
+            16.0 - now_mg - upper_mg,
+        )
     };
     // There is room for the shake and 3 mg more, then for the shake alone.
     let ((far, spare_mg), (near, left_mg)) = (at(3.0, false), at(6.0, false));
     assert!(spare_mg > 3.0 && (0.0..3.0).contains(&left_mg), "{spare_mg} {left_mg}");
-    assert_eq!((far, near, at(6.0, true).0), (Ok(action(0.0, 2.0)), Err(Halt::Unproven), Ok(action(0.0, 2.0))));
+    assert_eq!(
+        (far, near, at(6.0, true).0),
+        (Ok(action(0.0, 2.0)), Err(Halt::Unproven), Ok(action(0.0, 2.0)))
+    );
 }
 
 #[test]
 fn where_signs_of_life_are_waited_for_a_silent_spoon_is_believed() {
     let falls = [vec![fall(20.0, 4.0, 2.0)], vec![fall(20.0, 4.0, 0.0); 8]].concat();
     let limits = Limits { steps_max: 30, ..careful() };
-    let at = |unproven| guard(&limits, &Situation { steps: 20, unproven, ..seen(&falls) }, action(0.0, 4.0));
+    let at = |unproven| {
+        guard(&limits, &Situation { steps: 20, unproven, ..seen(&falls) }, action(0.0, 4.0))
+    };
     assert_eq!(at(None), Err(Halt::Deaf { shakes: 8 }));
     assert!(at(Some(0)).is_ok());
 }

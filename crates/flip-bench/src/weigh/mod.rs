@@ -202,7 +202,8 @@ pub fn weigh(
     };
     let ended = match reach.of(rules.pitch) {
         Some(reach) => {
-            let dosed = weighing.careful(|it| it.begin().and_then(|()| it.dose(controller, rules, &reach)));
+            let dosed =
+                weighing.careful(|it| it.begin().and_then(|()| it.dose(controller, rules, &reach)));
             weighing.withdraw(dosed)
         }
         // Nothing has moved, and nothing needs to.
@@ -213,7 +214,8 @@ pub fn weigh(
     let ended = weighing.discard(ended);
     let reading_mg = weighing.reading_mg(&ended);
     let shakes = weighing.shaken_s.len();
-    let judge = |cause| (reading_mg.map_or(Outcome::Aborted, |mg| result::judge(order, mg, shakes)), cause);
+    let judge =
+        |cause| (reading_mg.map_or(Outcome::Aborted, |mg| result::judge(order, mg, shakes)), cause);
     let (outcome, cause) = match ended {
         End::Course(cause) => judge(cause),
         // A dose within its tolerance is as ordered, whatever state the spoon is in.
@@ -231,7 +233,18 @@ pub fn weigh(
     result::weighed(
         order,
         &settings.accuracy,
-        result::Known { outcome, cause, tare_mg, reading_mg, last_mg, after, watched, seconds, must_look, ticks },
+        result::Known {
+            outcome,
+            cause,
+            tare_mg,
+            reading_mg,
+            last_mg,
+            after,
+            watched,
+            seconds,
+            must_look,
+            ticks,
+        },
     )
 }
 
@@ -294,13 +307,20 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let watched_mg = before.map(|rest| rest.last_mg);
         self.watched.before = before.map(|rest| (rest, tare.tare_mg));
         match watched_mg.zip(tare.tare_mg).map(|(watched_mg, tare_mg)| watched_mg - tare_mg) {
-            Some(fell_mg) if fell_mg.abs() > VIAL_MG_MAX => Err(Halted::Guard(Halt::VialMoved { fell_mg })),
+            Some(fell_mg) if fell_mg.abs() > VIAL_MG_MAX => {
+                Err(Halted::Guard(Halt::VialMoved { fell_mg }))
+            }
             _ => self.find_zero(),
         }
     }
 
     /// The steps from the tare until something ends them.
-    fn dose(&mut self, controller: &Controller, rules: &Rules, reach: &Reach) -> Result<End, Halted> {
+    fn dose(
+        &mut self,
+        controller: &Controller,
+        rules: &Rules,
+        reach: &Reach,
+    ) -> Result<End, Halted> {
         // The narrower of the policy's frame and the arm's range.
         let rules = &Rules { pitch: reach.pitch, ..*rules };
         let tared_s = self.bench.elapsed_s();
@@ -308,7 +328,13 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let Settings { seconds_max, forecast, strict, .. } = *self.settings;
         let usual = Limits::new(rules.pitch, rules.steps_max);
         let usual = if strict { usual } else { usual.lenient() };
-        let limits = Limits { seconds_max, readability_mg, forecast, shake_mm_max: reach.shake_mm_max, ..usual };
+        let limits = Limits {
+            seconds_max,
+            readability_mg,
+            forecast,
+            shake_mm_max: reach.shake_mm_max,
+            ..usual
+        };
         self.tell(&Event::Phase(Phase::Dosing))?;
         let (first, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
         self.record(0, tared_s, Action::default(), first)?;
@@ -327,7 +353,9 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
                 (now, is_sure) = (self.look_closer()?, true);
                 if is_zeroed && closer::is_zeroed(before, now, readability_mg) {
                     self.must_look = true;
-                    return Err(Halted::Guard(Halt::Zeroed { fell_mg: before.mass_mg - now.mass_mg }));
+                    return Err(Halted::Guard(Halt::Zeroed {
+                        fell_mg: before.mass_mg - now.mass_mg,
+                    }));
                 }
             }
             let read_s = self.bench.elapsed_s();
@@ -351,8 +379,10 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             let mut allowed = guard(&limits, &Situation { falls: &falls, ..situation }, proposed);
             if !is_sure && matches!(allowed, Err(Halt::NoRoom { .. } | Halt::TargetReached)) {
                 now = self.look_closer()?;
-                let (read_s, unproven, is_felt) = (self.bench.elapsed_s(), self.unproven(), self.is_felt());
-                let situation = Situation { now, read_s, unproven, is_felt, falls: &falls, ..situation };
+                let (read_s, unproven, is_felt) =
+                    (self.bench.elapsed_s(), self.unproven(), self.is_felt());
+                let situation =
+                    Situation { now, read_s, unproven, is_felt, falls: &falls, ..situation };
                 allowed = guard(&limits, &situation, proposed);
             }
             let is_done = self.would_end(rules, steps, now);
@@ -369,7 +399,14 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
                 }
                 now = shown;
                 let read_s = self.bench.elapsed_s();
-                let situation = Situation { now, read_s, unproven: Some(0), is_felt: true, falls: &falls, ..situation };
+                let situation = Situation {
+                    now,
+                    read_s,
+                    unproven: Some(0),
+                    is_felt: true,
+                    falls: &falls,
+                    ..situation
+                };
                 allowed = guard(&limits, &situation, proposed);
             }
             self.tell(&Event::Decision(&Decision::new(steps + 1, proposed, &allowed)))?;
@@ -391,7 +428,11 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             shaken = action.executed_shake_mm() > 0.0;
             if shaken {
                 let mass_mg = now.mass_mg - before.mass_mg;
-                falls.push(Fall { pitch_deg: self.bench.pitch_deg(), shake_mm: action.shake_mm, mass_mg });
+                falls.push(Fall {
+                    pitch_deg: self.bench.pitch_deg(),
+                    shake_mm: action.shake_mm,
+                    mass_mg,
+                });
                 self.shaken_s.push(moved_s);
             }
             self.record(steps + 1, tared_s, action, shown)?;
@@ -423,7 +464,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     /// shake.
     fn is_felt(&self) -> bool {
         let lived_s = self.bench.lived_s();
-        self.settings.life_s <= 0.0 || self.shaken_s.last().is_none_or(|shaken_s| shaken_s + FELT_S <= lived_s)
+        self.settings.life_s <= 0.0
+            || self.shaken_s.last().is_none_or(|shaken_s| shaken_s + FELT_S <= lived_s)
     }
 
     /// Wait with nothing moving until the display changes; returns whether it did.
@@ -441,9 +483,20 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    fn record(&mut self, step: u32, tared_s: f64, action: Action, reading: Reading) -> Result<(), Halted> {
-        let tick =
-            Tick { step, t_s: self.bench.elapsed_s() - tared_s, pitch_deg: self.bench.pitch_deg(), action, reading };
+    fn record(
+        &mut self,
+        step: u32,
+        tared_s: f64,
+        action: Action,
+        reading: Reading,
+    ) -> Result<(), Halted> {
+        let tick = Tick {
+            step,
+            t_s: self.bench.elapsed_s() - tared_s,
+            pitch_deg: self.bench.pitch_deg(),
+            action,
+            reading,
+        };
         self.ticks.push(tick);
         self.tell(&Event::Tick(&tick))
     }

@@ -99,9 +99,14 @@ pub(super) fn judge(order: &Order, reading_mg: f64, shakes: usize) -> Outcome {
 /// Whether the whole uncertainty interval of the reading is on the outcome's side of the
 /// tolerances.
 fn proven(order: &Order, outcome: Outcome, reading_mg: f64, uncertainty_mg: f64) -> Option<bool> {
-    let (low, high) = (reading_mg - uncertainty_mg - order.target_mg, reading_mg + uncertainty_mg - order.target_mg);
+    let (low, high) = (
+        reading_mg - uncertainty_mg - order.target_mg,
+        reading_mg + uncertainty_mg - order.target_mg,
+    );
     match outcome {
-        Outcome::Within => Some(-low <= order.tolerance_lower_mg + 1e-9 && high <= order.tolerance_upper_mg + 1e-9),
+        Outcome::Within => {
+            Some(-low <= order.tolerance_lower_mg + 1e-9 && high <= order.tolerance_upper_mg + 1e-9)
+        }
         Outcome::Under | Outcome::Blocked => Some(-high > order.tolerance_lower_mg),
         Outcome::Over => Some(low > order.tolerance_upper_mg),
         _ => None,
@@ -132,7 +137,8 @@ pub(super) struct Known {
 pub(super) fn weighed(order: &Order, accuracy: &Accuracy, known: Known) -> Weighed {
     let Known { outcome, reading_mg, watched, .. } = known;
     let s = repeatability_mg(accuracy, order.readability_mg);
-    let uncertainty_mg = uncertainty::uncertainty_mg(&watched, accuracy.repeatability_mg, order.readability_mg);
+    let uncertainty_mg =
+        uncertainty::uncertainty_mg(&watched, accuracy.repeatability_mg, order.readability_mg);
     let drift_mg_min = |rest| uncertainty::proven_mg_min(&rest, &watched, order.readability_mg);
     let is_below = |least_mg: f64| reading_mg.is_some_and(|reading_mg| reading_mg < least_mg);
     Weighed {
@@ -146,15 +152,19 @@ pub(super) fn weighed(order: &Order, accuracy: &Accuracy, known: Known) -> Weigh
         zero_mg: watched.zero.map(|rest| rest.mean_mg),
         reading_mg,
         uncertainty_mg,
-        proven: reading_mg.and_then(|reading_mg| proven(order, outcome, reading_mg, uncertainty_mg)),
+        proven: reading_mg
+            .and_then(|reading_mg| proven(order, outcome, reading_mg, uncertainty_mg)),
         below_minimum_weight: is_below(minimum_weight_mg(s, USP_SHARE)),
         below_class_minimum_weight: is_below(minimum_weight_mg(s, accuracy.class_pct / 100.0)),
         stable_by_flag: known.after.map(|it| it.reading.stable),
         stable_by_window: known.after.map(|it| it.still),
         drift_before_mg_min: watched.before.map(|(rest, _)| drift_mg_min(rest)),
         drift_after_mg_min: watched.last.map(drift_mg_min),
-        in_flight_mg: reading_mg.zip(known.last_mg).map(|(reading_mg, last_mg)| reading_mg - last_mg),
-        shakes: known.ticks.iter().filter(|tick| tick.action.executed_shake_mm() > 0.0).count() as u32,
+        in_flight_mg: reading_mg
+            .zip(known.last_mg)
+            .map(|(reading_mg, last_mg)| reading_mg - last_mg),
+        shakes: known.ticks.iter().filter(|tick| tick.action.executed_shake_mm() > 0.0).count()
+            as u32,
         seconds: known.seconds,
         must_look: known.must_look,
         ticks: known.ticks,
@@ -164,9 +174,9 @@ pub(super) fn weighed(order: &Order, accuracy: &Accuracy, known: Known) -> Weigh
 /// The cause; an aborted dose has no reading, so the last displayed value is reported as such.
 fn told(outcome: Outcome, cause: Option<String>, ticks: &[Tick]) -> Option<String> {
     match (cause, last_reading_mg(ticks)) {
-        (Some(cause), Some(last_mg)) if outcome == Outcome::Aborted => {
-            Some(format!("{cause}; the balance last showed {last_mg} mg, which does not say what lies in the vial"))
-        }
+        (Some(cause), Some(last_mg)) if outcome == Outcome::Aborted => Some(format!(
+            "{cause}; the balance last showed {last_mg} mg, which does not say what lies in the vial"
+        )),
         (cause, _) => cause,
     }
 }
@@ -182,26 +192,53 @@ mod tests {
 
     #[test]
     fn tolerances_are_judged_by_the_reading_on_either_side() {
-        let order = Order { target_mg: 15.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 0.1, readability_mg: 1.0 };
-        for (reading, outcome) in
-            [(12.9, Outcome::Under), (13.0, Outcome::Within), (15.1, Outcome::Within), (15.2, Outcome::Over)]
-        {
+        let order = Order {
+            target_mg: 15.0,
+            tolerance_lower_mg: 2.0,
+            tolerance_upper_mg: 0.1,
+            readability_mg: 1.0,
+        };
+        for (reading, outcome) in [
+            (12.9, Outcome::Under),
+            (13.0, Outcome::Within),
+            (15.1, Outcome::Within),
+            (15.2, Outcome::Over),
+        ] {
             assert_eq!(judge(&order, reading, 1), outcome, "{reading}");
         }
         let at_least = Order { tolerance_lower_mg: 0.0, tolerance_upper_mg: 1.0, ..order };
-        assert_eq!((judge(&at_least, 14.9, 1), judge(&at_least, 15.0, 1)), (Outcome::Under, Outcome::Within));
+        assert_eq!(
+            (judge(&at_least, 14.9, 1), judge(&at_least, 15.0, 1)),
+            (Outcome::Under, Outcome::Within)
+        );
     }
 
     #[test]
     fn nothing_poured_is_never_within() {
-        let order = Order { target_mg: 0.4, tolerance_lower_mg: 0.4, tolerance_upper_mg: 0.4, readability_mg: 1.0 };
-        assert_eq!((judge(&order, 0.0, 9), judge(&order, 0.49, 9)), (Outcome::Under, Outcome::Under));
-        assert_eq!((judge(&order, 0.5, 9), judge(&order, 0.5, 0)), (Outcome::Within, Outcome::Under));
+        let order = Order {
+            target_mg: 0.4,
+            tolerance_lower_mg: 0.4,
+            tolerance_upper_mg: 0.4,
+            readability_mg: 1.0,
+        };
+        assert_eq!(
+            (judge(&order, 0.0, 9), judge(&order, 0.49, 9)),
+            (Outcome::Under, Outcome::Under)
+        );
+        assert_eq!(
+            (judge(&order, 0.5, 9), judge(&order, 0.5, 0)),
+            (Outcome::Within, Outcome::Under)
+        );
     }
 
     #[test]
     fn an_outcome_is_proven_where_all_that_is_possible_is_on_its_side() {
-        let order = Order { target_mg: 10.0, tolerance_lower_mg: 2.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
+        let order = Order {
+            target_mg: 10.0,
+            tolerance_lower_mg: 2.0,
+            tolerance_upper_mg: 1.0,
+            readability_mg: 1.0,
+        };
         for (reading_mg, u_mg, is) in [
             (10.0, 1.0, Some(true)),
             (10.0, 1.1, Some(false)),
@@ -212,7 +249,11 @@ mod tests {
             (12.0, 0.9, Some(true)),
             (12.0, 1.0, Some(false)),
         ] {
-            assert_eq!(proven(&order, judge(&order, reading_mg, 1), reading_mg, u_mg), is, "{reading_mg} +- {u_mg}");
+            assert_eq!(
+                proven(&order, judge(&order, reading_mg, 1), reading_mg, u_mg),
+                is,
+                "{reading_mg} +- {u_mg}"
+            );
         }
         assert_eq!(proven(&order, Outcome::Stopped, 10.0, 0.1), None);
     }
@@ -220,10 +261,14 @@ mod tests {
     #[test]
     fn the_minimum_weight_is_that_of_the_pharmacopoeia() {
         let checked = |repeatability_mg| Accuracy { repeatability_mg, class_pct: 1.0 };
-        let usp = |accuracy: &Accuracy| minimum_weight_mg(repeatability_mg(accuracy, 1.0), USP_SHARE);
+        let usp =
+            |accuracy: &Accuracy| minimum_weight_mg(repeatability_mg(accuracy, 1.0), USP_SHARE);
         // 2000 s, and never less than 820 steps.
         assert!((usp(&checked(Some(0.6))) - 1200.0).abs() < 1e-9);
-        assert!((usp(&checked(Some(0.1))) - 820.0).abs() < 1e-9 && (usp(&checked(None)) - 820.0).abs() < 1e-9);
+        assert!(
+            (usp(&checked(Some(0.1))) - 820.0).abs() < 1e-9
+                && (usp(&checked(None)) - 820.0).abs() < 1e-9
+        );
         assert!((minimum_weight_mg(0.41, 0.01) - 82.0).abs() < 1e-9);
     }
 }

@@ -93,7 +93,8 @@ impl Silence {
             }
             shown_mg += if moved(fall) { fall.mass_mg } else { 0.0 };
         }
-        let most = accounts.iter().map(|account| account.ln_weight).fold(f64::NEG_INFINITY, f64::max);
+        let most =
+            accounts.iter().map(|account| account.ln_weight).fold(f64::NEG_INFINITY, f64::max);
         let sum: f64 = accounts.iter().map(|account| libm::exp(account.ln_weight - most)).sum();
         let of = |account: &Account| Hidden {
             weight: libm::exp(account.ln_weight - most) / sum,
@@ -141,7 +142,8 @@ impl Hidden {
     /// Probability that a display of this step shows none of it.
     fn unseen(&self, readability_mg: f64) -> f64 {
         let [mean, sd] = self.ln();
-        Z.iter().map(|z| (1.0 - libm::exp(mean + sd * z) / readability_mg).max(0.0)).sum::<f64>() / NODES as f64
+        Z.iter().map(|z| (1.0 - libm::exp(mean + sd * z) / readability_mg).max(0.0)).sum::<f64>()
+            / NODES as f64
     }
 
     fn chance_above(&self, mass_mg: f64) -> f64 {
@@ -176,27 +178,41 @@ mod tests {
         assert!(Silence::after(&[], 1.0, STANDS).is_none());
         assert!(Silence::after(&[fall(40.0, 16.0, 0.0); 9], 1.0, STANDS).is_none());
         assert!(Silence::after(&course(0), 1.0, STANDS).is_none());
-        assert!(Silence::after(&course(3), 1.0, 0.0).is_none(), "who believes the display asks for nothing");
+        assert!(
+            Silence::after(&course(3), 1.0, 0.0).is_none(),
+            "who believes the display asks for nothing"
+        );
         assert_eq!(after(&course(3), 1.0).shakes, 3);
     }
 
     #[test]
     fn the_longer_the_silence_the_likelier_the_display_stands_and_a_fine_one_sooner() {
-        let still = |silent: usize, readability_mg: f64| after(&course(silent), readability_mg).still;
-        assert!((1..8).all(|n| still(n, 1.0) < still(n + 1, 1.0)), "{:?}", [1, 2, 3, 4].map(|n| still(n, 1.0)));
+        let still =
+            |silent: usize, readability_mg: f64| after(&course(silent), readability_mg).still;
+        assert!(
+            (1..8).all(|n| still(n, 1.0) < still(n + 1, 1.0)),
+            "{:?}",
+            [1, 2, 3, 4].map(|n| still(n, 1.0))
+        );
         assert!((1..4).all(|n| still(n, 1.0) < still(n, 0.1)));
         assert!(still(1, 1.0) < 0.05, "{}", still(1, 1.0));
         assert!(!after(&course(1), 1.0).is_still() && after(&course(8), 1.0).is_still());
         let hidden = |silent: usize| after(&course(silent), 1.0).hidden_mg();
         // 2 mg per shake before, each 2 deg higher.
-        assert!((1.0..4.0).contains(&hidden(1)) && (4.0..16.0).contains(&hidden(5)), "{} {}", hidden(1), hidden(5));
+        assert!(
+            (1.0..4.0).contains(&hidden(1)) && (4.0..16.0).contains(&hidden(5)),
+            "{} {}",
+            hidden(1),
+            hidden(5)
+        );
     }
 
     #[test]
     fn after_a_large_piece_gentle_shakes_are_silent_and_that_is_no_sign() {
         // A simulated spoon of salt: 1.4 and 10.7 mg, then nothing up to 13 deg.
         let falls = [fall(4.0, 3.0, 1.4), fall(6.0, 7.0, 10.7), fall(3.0, 1.0, 0.0)];
-        let falls = [&falls[..], &[fall(6.0, 1.0, 0.0), fall(9.0, 1.0, 0.0), fall(13.0, 1.0, 0.0)]].concat();
+        let falls = [&falls[..], &[fall(6.0, 1.0, 0.0), fall(9.0, 1.0, 0.0), fall(13.0, 1.0, 0.0)]]
+            .concat();
         assert!(after(&falls, 0.1).still < 0.05, "{}", after(&falls, 0.1).still);
     }
 
@@ -217,14 +233,18 @@ mod tests {
     fn spoons_of_the_model_are_seldom_taken_for_displays_that_stand() {
         let doses = 2000;
         let alarms = (0..doses).filter(|dose| {
-            let z = |k: usize, base: usize| quantile(((dose * 7919 + k * 104_729) as f64 / base as f64).fract());
-            let spoonful = RESPONSE.spoonful([z(1, 1009), z(2, 2003), z(3, 3001)].map(|z| z.clamp(-3.0, 3.0)));
+            let z = |k: usize, base: usize| {
+                quantile(((dose * 7919 + k * 104_729) as f64 / base as f64).fract())
+            };
+            let spoonful =
+                RESPONSE.spoonful([z(1, 1009), z(2, 2003), z(3, 3001)].map(|z| z.clamp(-3.0, 3.0)));
             let (mut vial_mg, mut falls) = (0.0f64, Vec::new());
             (0..20).any(|k| {
                 let pitch_deg = 4.0 + 2.0 * k as f64;
                 let before_mg = vial_mg.round();
                 let mean_mg = spoonful.mean_mg(&RESPONSE, pitch_deg, 3.0, vial_mg);
-                vial_mg += if mean_mg > 0.0 { RESPONSE.draw(mean_mg, z(10 + k, 4001)) } else { 0.0 };
+                vial_mg +=
+                    if mean_mg > 0.0 { RESPONSE.draw(mean_mg, z(10 + k, 4001)) } else { 0.0 };
                 falls.push(fall(pitch_deg, 3.0, vial_mg.round() - before_mg));
                 Silence::after(&falls, 1.0, STANDS).is_some_and(|silence| silence.is_still())
             })

@@ -85,7 +85,8 @@ impl Watched {
     }
 
     fn slopes(&self, step_mg: f64) -> Vec<Slope> {
-        let mut slopes: Vec<Slope> = self.rests().filter(|it| it.tilt > 0.0).map(Slope::within).collect();
+        let mut slopes: Vec<Slope> =
+            self.rests().filter(|it| it.tilt > 0.0).map(Slope::within).collect();
         if let (Some((before, Some(tare_mg))), Some(zero)) = (self.before, self.zero) {
             slopes.extend(Slope::between(&before, tare_mg, &zero, step_mg));
         }
@@ -127,8 +128,12 @@ fn pooled(slopes: &[Slope], variance: impl Fn(&Slope) -> f64) -> (f64, f64) {
 impl Scatter {
     /// By the method of moments, about a common slope.
     fn of(rests: &[Rest], slope_mg_s: f64) -> Self {
-        let about = |it: &Rest| it.squares_mg2 - slope_mg_s * (2.0 * it.slope_mg_s - slope_mg_s) * it.times_s2;
-        let next = |it: &Rest| (it.steps[0] - slope_mg_s * (2.0 * it.steps[1] - slope_mg_s * it.steps[2])) / 2.0;
+        let about = |it: &Rest| {
+            it.squares_mg2 - slope_mg_s * (2.0 * it.slope_mg_s - slope_mg_s) * it.times_s2
+        };
+        let next = |it: &Rest| {
+            (it.steps[0] - slope_mg_s * (2.0 * it.steps[1] - slope_mg_s * it.steps[2])) / 2.0
+        };
         let sum = |of: &dyn Fn(&Rest) -> f64| rests.iter().map(of).sum::<f64>();
         let (about, next) = (sum(&about), sum(&next));
         let neighbours = sum(&|it| it.readings as f64 - 1.0);
@@ -139,8 +144,12 @@ impl Scatter {
         }
         let wander_mg2 = ((about - next) / (apart - forgotten)).max(0.0);
         let memories = sum(&|it| it.seconds) / MEMORY_S;
-        let raised = if memories > 2.0 { (memories / (memories - 2.0)).min(RAISED_MAX) } else { RAISED_MAX };
-        Self { wander_mg2: raised * wander_mg2, noise_mg2: ((next - forgotten * wander_mg2) / neighbours).max(0.0) }
+        let raised =
+            if memories > 2.0 { (memories / (memories - 2.0)).min(RAISED_MAX) } else { RAISED_MAX };
+        Self {
+            wander_mg2: raised * wander_mg2,
+            noise_mg2: ((next - forgotten * wander_mg2) / neighbours).max(0.0),
+        }
     }
 
     /// Variance of the mean of such readings, mg^2.
@@ -153,15 +162,16 @@ impl Scatter {
 fn believed(slope_mg_s: f64, variance: f64, wander_mg: f64) -> Drift {
     let per_s = wander_mg / 60.0;
     let (slow, fast) = ((SLOW * per_s).powi(2), (FAST * per_s).powi(2) + variance);
-    let density =
-        |variance: f64| libm::exp(-slope_mg_s.powi(2) / 2.0 / variance) / (std::f64::consts::TAU * variance).sqrt();
+    let density = |variance: f64| {
+        libm::exp(-slope_mg_s.powi(2) / 2.0 / variance) / (std::f64::consts::TAU * variance).sqrt()
+    };
     let drifts = DRIFTS / (std::f64::consts::PI * fast.sqrt() * (1.0 + slope_mg_s.powi(2) / fast));
     let stays = (1.0 - DRIFTS) * density(slow + variance);
     let chance = drifts / (drifts + stays);
     let kept = slow / (slow + variance);
     let mean = slope_mg_s * (chance + (1.0 - chance) * kept);
-    let square =
-        chance * (slope_mg_s.powi(2) + variance) + (1.0 - chance) * ((kept * slope_mg_s).powi(2) + kept * variance);
+    let square = chance * (slope_mg_s.powi(2) + variance)
+        + (1.0 - chance) * ((kept * slope_mg_s).powi(2) + kept * variance);
     Drift { mean, variance: (square - mean.powi(2)).max(0.0) }
 }
 
@@ -183,7 +193,11 @@ fn drift(watched: &Watched, step_mg: f64) -> (Drift, Scatter) {
 ///
 /// `repeatability_mg` is the checked one, if there is one. If nothing was watched, each of the two
 /// readings counts with 0.41 steps, as in USP <41>.
-pub(super) fn uncertainty_mg(watched: &Watched, repeatability_mg: Option<f64>, step_mg: f64) -> f64 {
+pub(super) fn uncertainty_mg(
+    watched: &Watched,
+    repeatability_mg: Option<f64>,
+    step_mg: f64,
+) -> f64 {
     let (drift, scatter) = drift(watched, step_mg);
     let checked_mg2 = repeatability_mg.unwrap_or(0.0).powi(2);
     let of = |rest: Option<Rest>| {
@@ -191,7 +205,10 @@ pub(super) fn uncertainty_mg(watched: &Watched, repeatability_mg: Option<f64>, s
         rest.map_or(unseen_mg2, |rest| scatter.of_mean(&rest)).max(checked_mg2)
     };
     let seconds = watched.zero.zip(watched.last).map_or(0.0, |(zero, last)| last.at_s - zero.at_s);
-    let variance = of(watched.zero) + of(watched.last) + step_mg.powi(2) / 6.0 + drift.variance * seconds.powi(2);
+    let variance = of(watched.zero)
+        + of(watched.last)
+        + step_mg.powi(2) / 6.0
+        + drift.variance * seconds.powi(2);
     (drift.mean * seconds).abs() + COVERAGE * variance.sqrt()
 }
 
@@ -206,7 +223,8 @@ pub(super) fn of_mean_mg(rest: &Rest) -> Option<f64> {
 pub(super) fn proven_mg_min(rest: &Rest, watched: &Watched, step_mg: f64) -> f64 {
     let (_, scatter) = drift(watched, step_mg);
     let slope = Slope::within(*rest);
-    let is_proven = rest.tilt > 0.0 && slope.mg_s.abs() > 2.0 * slope.variance(&scatter, step_mg).sqrt();
+    let is_proven =
+        rest.tilt > 0.0 && slope.mg_s.abs() > 2.0 * slope.variance(&scatter, step_mg).sqrt();
     if is_proven { 60.0 * slope.mg_s } else { 0.0 }
 }
 

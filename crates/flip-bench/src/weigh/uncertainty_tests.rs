@@ -3,8 +3,9 @@ use flip_core::domain::bench::Moment;
 
 /// A display of this step over a constant mass, from a given time on, s.
 fn still(from_s: f64, seconds: f64, mass_mg: f64) -> Rest {
-    let seen: Vec<Moment> =
-        (0..=(seconds / 0.4) as u32).map(|k| Moment { t_s: from_s + 0.4 * f64::from(k), mass_mg }).collect();
+    let seen: Vec<Moment> = (0..=(seconds / 0.4) as u32)
+        .map(|k| Moment { t_s: from_s + 0.4 * f64::from(k), mass_mg })
+        .collect();
     Rest::of(&seen).unwrap()
 }
 
@@ -26,8 +27,9 @@ fn one_digit_in_the_watch_is_no_drift() {
     // The last reading is one digit higher: by least squares a drift of 0.6 to 20 mg/min, which
     // over 100 s was 1 to 33 mg.
     for (seconds, u_mg_max) in [(20.0, 2.0), (10.0, 2.0), (3.0, 3.0)] {
-        let mut seen: Vec<Moment> =
-            (0..=(seconds / 0.19) as u32).map(|k| Moment { t_s: 100.0 + 0.19 * f64::from(k), mass_mg: 10.0 }).collect();
+        let mut seen: Vec<Moment> = (0..=(seconds / 0.19) as u32)
+            .map(|k| Moment { t_s: 100.0 + 0.19 * f64::from(k), mass_mg: 10.0 })
+            .collect();
         seen.last_mut().unwrap().mass_mg = 11.0;
         let watched = watched(still(0.0, 10.0, 0.0), Rest::of(&seen).unwrap());
         let u_mg = uncertainty_mg(&watched, None, 1.0);
@@ -42,7 +44,10 @@ fn a_drift_that_the_readings_prove_enters_in_full() {
     let drifting = |from_s: f64| {
         let seen: Vec<Moment> = (0..50)
             .map(|k| from_s + 0.4 * f64::from(k))
-            .map(|t_s| Moment { t_s, mass_mg: ((0.05 * t_s + 0.02 * libm::sin(t_s)) * 100.0).round() / 100.0 })
+            .map(|t_s| Moment {
+                t_s,
+                mass_mg: ((0.05 * t_s + 0.02 * libm::sin(t_s)) * 100.0).round() / 100.0,
+            })
             .collect();
         Rest::of(&seen).unwrap()
     };
@@ -54,7 +59,9 @@ fn a_drift_that_the_readings_prove_enters_in_full() {
 
 #[test]
 fn a_still_display_is_as_sure_as_its_step_and_a_longer_watch_never_makes_it_less_so() {
-    let of = |seconds| uncertainty_mg(&watched(still(0.0, seconds, 0.0), still(100.0, seconds, 10.0)), None, 1.0);
+    let of = |seconds| {
+        uncertainty_mg(&watched(still(0.0, seconds, 0.0), still(100.0, seconds, 10.0)), None, 1.0)
+    };
     // Rounding alone is 2 sqrt(1/6) = 0.816.
     assert!(
         of(20.0) > 0.816 && of(20.0) < 1.0 && of(10.0) >= of(20.0) && of(3.0) >= of(10.0),

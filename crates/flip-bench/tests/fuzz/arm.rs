@@ -6,8 +6,13 @@ use flip_core::domain::bench::{PitchLimits, Reach, SHAKE_MM_MAX};
 use prost::Message;
 use std::fmt::Debug;
 
-pub const DESCRIPTION: Target =
-    Target { name: "arm_description", check: check_description, repair: None, words: &[], bytes_max: 512 };
+pub const DESCRIPTION: Target = Target {
+    name: "arm_description",
+    check: check_description,
+    repair: None,
+    words: &[],
+    bytes_max: 512,
+};
 pub const MESSAGE: Target =
     Target { name: "arm_message", check: check_message, repair: None, words: &[], bytes_max: 512 };
 
@@ -27,8 +32,13 @@ fn check_description(bytes: &[u8]) -> Result<Seen, String> {
     };
     let PitchLimits { lower_deg, upper_deg } = limits.pitch;
     let motion = limits.motion;
-    let speeds =
-        [limits.pitch_deg_s_max, limits.shake_mm_max, motion.velocity_m_s, motion.acceleration_m_s2, motion.jerk_m_s3];
+    let speeds = [
+        limits.pitch_deg_s_max,
+        limits.shake_mm_max,
+        motion.velocity_m_s,
+        motion.acceleration_m_s2,
+        motion.jerk_m_s3,
+    ];
     let is_narrow = (Reach::FULL.pitch.lower_deg..=0.0).contains(&lower_deg)
         && (0.0..=Reach::FULL.pitch.upper_deg).contains(&upper_deg)
         && limits.shake_mm_max <= SHAKE_MM_MAX
@@ -36,7 +46,9 @@ fn check_description(bytes: &[u8]) -> Result<Seen, String> {
     if !is_narrow {
         return Err(format!("limits wider than those of an action: {limits:?}"));
     }
-    for asked in [f64::NAN, f64::INFINITY, lower_deg - 1.0, upper_deg + 1.0, lower_deg, upper_deg, 0.0] {
+    for asked in
+        [f64::NAN, f64::INFINITY, lower_deg - 1.0, upper_deg + 1.0, lower_deg, upper_deg, 0.0]
+    {
         let may = limits.pitch_deg(asked).is_ok();
         if may != (asked >= lower_deg && asked <= upper_deg) {
             return Err(format!("a pitch of {asked} deg within {lower_deg} to {upper_deg}: {may}"));
@@ -45,7 +57,10 @@ fn check_description(bytes: &[u8]) -> Result<Seen, String> {
     if limits.shake_mm(limits.shake_mm_max.next_up()).is_ok() || limits.shake_mm(-0.001).is_ok() {
         return Err(format!("a shake beyond {limits:?} may be asked for"));
     }
-    Ok(Seen::Read(outcome((description.protocol_version == 1, lower_deg == Reach::FULL.pitch.lower_deg))))
+    Ok(Seen::Read(outcome((
+        description.protocol_version == 1,
+        lower_deg == Reach::FULL.pitch.lower_deg,
+    ))))
 }
 
 /// The first byte selects the type of the message in the rest.
@@ -77,18 +92,26 @@ fn check_executed(body: &[u8]) -> Result<Seen, String> {
     }
     let Ok(believed) = checked(executed, sequence) else { return Ok(Seen::Refused(2)) };
     let lengths = [believed.amplitude_mm, believed.peak_speed_m_s, believed.duration_s];
-    if !believed.pitch_deg.is_finite() || lengths.iter().any(|length| !(length.is_finite() && *length >= 0.0)) {
+    if !believed.pitch_deg.is_finite()
+        || lengths.iter().any(|length| !(length.is_finite() && *length >= 0.0))
+    {
         return Err(format!("no motion can have been {believed:?}"));
     }
     Ok(Seen::Read(outcome(("executed", lengths.map(|length| length > 0.0)))))
 }
 
 fn check_state(body: &[u8]) -> Result<Seen, String> {
-    let Ok(state) = bounded(bytes_max(body), || proto::State::decode(body))? else { return Ok(Seen::Refused(3)) };
+    let Ok(state) = bounded(bytes_max(body), || proto::State::decode(body))? else {
+        return Ok(Seen::Refused(3));
+    };
     same_when_written(&state)?;
     // A mode or station unknown to FLIP is never one it acts on.
-    let known = (proto::Mode::try_from(state.mode).is_ok(), proto::Station::try_from(state.station).is_ok());
-    let is_unspecified = (state.mode() == proto::Mode::Unspecified, state.station() == proto::Station::Unspecified);
+    let known = (
+        proto::Mode::try_from(state.mode).is_ok(),
+        proto::Station::try_from(state.station).is_ok(),
+    );
+    let is_unspecified =
+        (state.mode() == proto::Mode::Unspecified, state.station() == proto::Station::Unspecified);
     if (!known.0 && !is_unspecified.0) || (!known.1 && !is_unspecified.1) {
         return Err(format!("an unknown mode or station is taken for a known one: {state:?}"));
     }
@@ -96,7 +119,9 @@ fn check_state(body: &[u8]) -> Result<Seen, String> {
 }
 
 fn plain<M: Message + Default + Debug>(body: &[u8]) -> Result<Seen, String> {
-    let Ok(message) = bounded(bytes_max(body), || M::decode(body))? else { return Ok(Seen::Refused(4)) };
+    let Ok(message) = bounded(bytes_max(body), || M::decode(body))? else {
+        return Ok(Seen::Refused(4));
+    };
     same_when_written(&message)?;
     Ok(Seen::Read(outcome((std::any::type_name::<M>(), message.encoded_len() > 0))))
 }

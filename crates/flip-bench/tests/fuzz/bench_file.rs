@@ -50,8 +50,13 @@ const WORDS: &[&str] = &[
     ".",
 ];
 
-pub const FILE: Target =
-    Target { name: "bench_file", check: check_file, repair: None, words: WORDS, bytes_max: 8 << 10 };
+pub const FILE: Target = Target {
+    name: "bench_file",
+    check: check_file,
+    repair: None,
+    words: WORDS,
+    bytes_max: 8 << 10,
+};
 
 fn check_file(bytes: &[u8]) -> Result<Seen, String> {
     let Ok(text) = std::str::from_utf8(bytes) else { return Ok(Seen::Refused(0)) };
@@ -65,7 +70,12 @@ fn check_file(bytes: &[u8]) -> Result<Seen, String> {
         return Err(format!("written again it is another file:\n{written}"));
     }
     let balance = &file.balance;
-    let seconds = [balance.timeout_s, balance.stable_timeout_s, file.readings.settle_max_s, file.readings.stand_max_s];
+    let seconds = [
+        balance.timeout_s,
+        balance.stable_timeout_s,
+        file.readings.settle_max_s,
+        file.readings.stand_max_s,
+    ];
     let is_sound = seconds.iter().all(|seconds| (0.05..=600.0).contains(seconds))
         && (0.0..=100.0).contains(&file.readings.noise_mg)
         && balance.readability_mg.is_none_or(|mg| mg.is_finite() && mg > 0.0)
@@ -80,6 +90,12 @@ fn check_file(bytes: &[u8]) -> Result<Seen, String> {
 
 /// Field and first words of a TOML error, without the position.
 fn kind(field: &str, message: &str) -> (String, String) {
-    let words = message.lines().last().unwrap_or_default().chars().filter(|c| c.is_ascii_alphabetic()).take(12);
+    let words = message
+        .lines()
+        .last()
+        .unwrap_or_default()
+        .chars()
+        .filter(|c| c.is_ascii_alphabetic())
+        .take(12);
     (field.to_owned(), words.collect())
 }

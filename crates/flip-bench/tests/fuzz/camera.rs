@@ -39,8 +39,13 @@ const WORDS: &[&str] = &[
     "iCCP",
 ];
 
-pub const FRAME: Target =
-    Target { name: "camera_frame", check: check_frame, repair: Some(repair), words: WORDS, bytes_max: 64 << 10 };
+pub const FRAME: Target = Target {
+    name: "camera_frame",
+    check: check_frame,
+    repair: Some(repair),
+    words: WORDS,
+    bytes_max: 64 << 10,
+};
 
 fn check_frame(input: &[u8]) -> Result<Seen, String> {
     let upload = parts(input);
@@ -62,7 +67,10 @@ fn check_frame(input: &[u8]) -> Result<Seen, String> {
             frame.colour.len()
         ));
     }
-    if !(frame.unit_mm() > 0.0 && frame.unit_mm() <= 10.0 && (0.0..=1.0).contains(&frame.invalid_share())) {
+    if !(frame.unit_mm() > 0.0
+        && frame.unit_mm() <= 10.0
+        && (0.0..=1.0).contains(&frame.invalid_share()))
+    {
         return Err(format!("steps of {} mm", frame.unit_mm()));
     }
     let point = lens.deproject([f64::from(lens.width - 1), 0.0], 200.0);
@@ -70,7 +78,12 @@ fn check_frame(input: &[u8]) -> Result<Seen, String> {
         return Err(format!("a corner lies at {point:?}"));
     }
     check_written(&frame)?;
-    Ok(Seen::Read(outcome((lens.width, lens.height, lens.model.name(), upload.depth.starts_with(SIGNATURE)))))
+    Ok(Seen::Read(outcome((
+        lens.width,
+        lens.height,
+        lens.model.name(),
+        upload.depth.starts_with(SIGNATURE),
+    ))))
 }
 
 /// Checks that uploading it again, as a PNG and as bare values, returns the same frame.
@@ -88,12 +101,20 @@ fn check_written(frame: &Frame) -> Result<(), String> {
 /// Two images of the size the description allows, with room for the decoder; a refused description
 /// leaves no more than a few kilobytes.
 fn bytes_max(upload: &Upload) -> usize {
-    let pixels = serde_json::from_slice::<serde_json::Value>(&upload.description).ok().and_then(|said| {
-        let side = |name: &str| said["intrinsics"][name].as_u64().filter(|side| *side <= u64::from(SIDE_MAX));
-        Some(side("width")? * side("height")?)
-    });
-    let images = pixels.map_or(0, |pixels| usize::try_from(pixels).expect("two sides") * 8 + (2 << 20));
-    images + 16 * upload.description.len() + 2 * upload.depth.len() + 2 * upload.colour.len() + (64 << 10)
+    let pixels =
+        serde_json::from_slice::<serde_json::Value>(&upload.description).ok().and_then(|said| {
+            let side = |name: &str| {
+                said["intrinsics"][name].as_u64().filter(|side| *side <= u64::from(SIDE_MAX))
+            };
+            Some(side("width")? * side("height")?)
+        });
+    let images =
+        pixels.map_or(0, |pixels| usize::try_from(pixels).expect("two sides") * 8 + (2 << 20));
+    images
+        + 16 * upload.description.len()
+        + 2 * upload.depth.len()
+        + 2 * upload.colour.len()
+        + (64 << 10)
 }
 
 fn parts(input: &[u8]) -> Upload {
@@ -115,7 +136,8 @@ fn kind(field: &str, message: &str) -> (String, String) {
 /// Corrects the checksums of the PNGs' chunks. Lengths stay as they are; anything beyond the image
 /// is left alone.
 fn repair(mut input: Vec<u8>) -> Vec<u8> {
-    let starts: Vec<usize> = (0..input.len()).filter(|at| input[*at..].starts_with(SIGNATURE)).collect();
+    let starts: Vec<usize> =
+        (0..input.len()).filter(|at| input[*at..].starts_with(SIGNATURE)).collect();
     for start in starts {
         let mut at = start + SIGNATURE.len();
         while let Some(end) = chunk_end(&input, at) {

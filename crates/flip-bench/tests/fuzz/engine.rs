@@ -79,9 +79,12 @@ pub fn bounded<T>(bytes_max: usize, parse: impl Fn() -> T) -> Result<T, String> 
     let mut seconds = f64::INFINITY;
     for _ in 0..3 {
         let (mut parsed, begun) = (None, Instant::now());
-        let held = allocation_counter::measure(|| parsed = Some(catch_unwind(AssertUnwindSafe(&parse)))).bytes_max;
+        let held =
+            allocation_counter::measure(|| parsed = Some(catch_unwind(AssertUnwindSafe(&parse))))
+                .bytes_max;
         seconds = begun.elapsed().as_secs_f64().min(seconds);
-        let parsed = parsed.expect("measured").map_err(|panic| format!("panic: {}", words_of(&*panic)))?;
+        let parsed =
+            parsed.expect("measured").map_err(|panic| format!("panic: {}", words_of(&*panic)))?;
         if held > bytes_max as u64 {
             return Err(format!("held {held} bytes, at most {bytes_max} are allowed"));
         }
@@ -104,7 +107,12 @@ pub fn fuzz(target: &Target) {
         }
         Err(Failure { input, why }) => {
             let path = corpus::keep(target.name, &input);
-            panic!("{}: {why}\n  kept as {}\n  {:?}", target.name, path.display(), String::from_utf8_lossy(&input));
+            panic!(
+                "{}: {why}\n  kept as {}\n  {:?}",
+                target.name,
+                path.display(),
+                String::from_utf8_lossy(&input)
+            );
         }
     }
 }
@@ -116,8 +124,13 @@ pub fn fuzz(target: &Target) {
 pub fn run(target: &Target, files: &[Vec<u8>], limit: Duration, seed: u64) -> Result<Run, Failure> {
     be_quiet_about_expected_panics();
     let begun = Instant::now();
-    let mut search =
-        Search { target, read: Vec::new(), refused: Vec::new(), known: HashMap::new(), run: Run::default() };
+    let mut search = Search {
+        target,
+        read: Vec::new(),
+        refused: Vec::new(),
+        known: HashMap::new(),
+        run: Run::default(),
+    };
     search.run.corpus_files = files.len();
     for file in files {
         search.look(file.clone())?;
@@ -130,8 +143,10 @@ pub fn run(target: &Target, files: &[Vec<u8>], limit: Duration, seed: u64) -> Re
     let mut mutator = Mutator::new(seed, target.words, target.bytes_max);
     while begun.elapsed() < limit {
         for _ in 0..16 {
-            let is_from_read = search.refused.is_empty() || (!search.read.is_empty() && mutator.is_heads());
-            let mut input = mutator.mutant(if is_from_read { &search.read } else { &search.refused });
+            let is_from_read =
+                search.refused.is_empty() || (!search.read.is_empty() && mutator.is_heads());
+            let mut input =
+                mutator.mutant(if is_from_read { &search.read } else { &search.refused });
             if let Some(repair) = target.repair.filter(|_| mutator.is_heads()) {
                 input = repair(input);
             }
@@ -224,7 +239,9 @@ fn words_of(panic: &(dyn std::any::Any + Send)) -> String {
 }
 
 fn number_from(variable: &str) -> Option<f64> {
-    std::env::var(variable).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{variable} must be a number")))
+    std::env::var(variable)
+        .ok()
+        .map(|text| text.parse().unwrap_or_else(|_| panic!("{variable} must be a number")))
 }
 
 /// Writes straight to standard output, because a passing test should report this as well.

@@ -10,7 +10,8 @@ fn target(check: fn(&[u8]) -> Result<Seen, String>) -> Target {
 }
 
 fn failure(check: fn(&[u8]) -> Result<Seen, String>) -> Failure {
-    run(&target(check), &[b"1 CLOSE*ABCD".to_vec()], SOON, 1).expect_err("the planted fault must be found")
+    run(&target(check), &[b"1 CLOSE*ABCD".to_vec()], SOON, 1)
+        .expect_err("the planted fault must be found")
 }
 
 #[test]
@@ -30,12 +31,17 @@ fn memory_that_a_length_field_asks_for_is_noticed() {
         let bytes = usize::from(input.first().copied().unwrap_or(0)) << 10;
         bounded(200 << 10, || vec![0_u8; bytes]).map(|_| Seen::Read(0))
     });
-    assert!(found.why.starts_with("held ") && found.input.len() == 1 && found.input[0] >= 200, "{found:?}");
+    assert!(
+        found.why.starts_with("held ") && found.input.len() == 1 && found.input[0] >= 200,
+        "{found:?}"
+    );
 }
 
 #[test]
 fn an_input_that_takes_too_long_is_noticed() {
-    let slow = |_: &[u8]| bounded(0, || std::thread::sleep(Duration::from_millis(300))).map(|()| Seen::Read(0));
+    let slow = |_: &[u8]| {
+        bounded(0, || std::thread::sleep(Duration::from_millis(300))).map(|()| Seen::Read(0))
+    };
     let found = failure(slow);
     assert!(found.why.starts_with("took 0.3"), "{found:?}");
 }

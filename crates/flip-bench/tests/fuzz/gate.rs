@@ -2,11 +2,14 @@
 
 use crate::engine::{Seen, Target, bounded, outcome};
 use flip_bench::emulate::gate::{self as emulated, Order};
-use flip_bench::hardware::gate::{self, GateStatus, Refusal, Said, State, Why, framed, number, unframed};
+use flip_bench::hardware::gate::{
+    self, GateStatus, Refusal, Said, State, Why, framed, number, unframed,
+};
 
 const WORDS: &[&str] = &[
-    "HELLO", "OPEN ", "CLOSE", "STATUS", "BEAT", "OK ", "HI 1 ", "ERR ", "CLOSED", "MOVING", "STUCK", "CHECKSUM",
-    "OLD", " C ", " O ", " - ", " B ", "RESET", "ASKED", "BEATS", " ", "*", "\u{e9}",
+    "HELLO", "OPEN ", "CLOSE", "STATUS", "BEAT", "OK ", "HI 1 ", "ERR ", "CLOSED", "MOVING",
+    "STUCK", "CHECKSUM", "OLD", " C ", " O ", " - ", " B ", "RESET", "ASKED", "BEATS", " ", "*",
+    "\u{e9}",
 ];
 
 pub const REPLY: Target = line("gate_reply", check_reply);
@@ -17,11 +20,17 @@ const fn line(name: &'static str, check: fn(&[u8]) -> Result<Seen, String>) -> T
 }
 
 fn check_reply(line: &[u8]) -> Result<Seen, String> {
-    let Ok(reply) = bounded(64 * line.len() + 512, || gate::parse(line))? else { return Ok(refused(line)) };
+    let Ok(reply) = bounded(64 * line.len() + 512, || gate::parse(line))? else {
+        return Ok(refused(line));
+    };
     let seq = reply.seq;
     let (text, kind) = match reply.said {
-        Said::Ok(status) => (format!("{seq} OK {}", print(&status)?), outcome(without_digits(print(&status)?))),
-        Said::Hi(version, status) => (format!("{seq} HI {version} {}", print(&status)?), outcome(("hi", version > 1))),
+        Said::Ok(status) => {
+            (format!("{seq} OK {}", print(&status)?), outcome(without_digits(print(&status)?)))
+        }
+        Said::Hi(version, status) => {
+            (format!("{seq} HI {version} {}", print(&status)?), outcome(("hi", version > 1)))
+        }
         Said::Err(refusal) => (format!("{seq} ERR {}", name(refusal)), outcome(name(refusal))),
     };
     let written = framed(&text);
@@ -63,7 +72,8 @@ fn check_request(line: &[u8]) -> Result<Seen, String> {
 
 /// A refusal, distinguished by how far the line was parsed.
 fn refused(line: &[u8]) -> Seen {
-    let words = unframed(line).map(|text| (text.split(' ').count(), text.split(' ').next().and_then(number).is_some()));
+    let words = unframed(line)
+        .map(|text| (text.split(' ').count(), text.split(' ').next().and_then(number).is_some()));
     Seen::Refused(outcome(words))
 }
 
@@ -72,7 +82,10 @@ fn check_flips(line: &[u8], is_read: impl Fn(&[u8]) -> bool) -> Result<(), Strin
         let mut flipped = line.to_vec();
         flipped[bit / 8] ^= 1 << (bit % 8);
         if is_read(&flipped) {
-            return Err(format!("bit {bit} was flipped and the line is read: {:?}", String::from_utf8_lossy(&flipped)));
+            return Err(format!(
+                "bit {bit} was flipped and the line is read: {:?}",
+                String::from_utf8_lossy(&flipped)
+            ));
         }
     }
     Ok(())

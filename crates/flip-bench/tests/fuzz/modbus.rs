@@ -7,8 +7,13 @@ use flip_bench::hardware::gripper::{self, GripperStatus, Object};
 
 pub const STATUS: Target =
     Target { name: "gripper_status", check: check_status, repair: None, words: &[], bytes_max: 12 };
-pub const REQUEST: Target =
-    Target { name: "modbus_request", check: check_request, repair: Some(repair), words: &[], bytes_max: 300 };
+pub const REQUEST: Target = Target {
+    name: "modbus_request",
+    check: check_request,
+    repair: Some(repair),
+    words: &[],
+    bytes_max: 300,
+};
 
 fn check_status(registers: &[u8]) -> Result<Seen, String> {
     let Ok(status) = bounded(4 * registers.len() + 512, || gripper::parse(registers))? else {
@@ -32,7 +37,9 @@ fn check_status(registers: &[u8]) -> Result<Seen, String> {
         return Err(format!("{registers:02x?} is read as {status:?}"));
     }
     if status.holds() && (moving && activated || !follows) {
-        return Err(format!("{registers:02x?} holds something and moves, or does not follow: {status:?}"));
+        return Err(format!(
+            "{registers:02x?} holds something and moves, or does not follow: {status:?}"
+        ));
     }
     if gripper::fault_words(status.fault).is_empty() {
         return Err(format!("fault {} has no words", status.fault));
@@ -53,7 +60,10 @@ fn check_request(frame: &[u8]) -> Result<Seen, String> {
             let count = u16::try_from(words.len()).map_err(|error| error.to_string())?;
             let bytes = u8::try_from(2 * words.len()).map_err(|error| error.to_string())?;
             let values: Vec<u8> = words.iter().flat_map(|word| word.to_be_bytes()).collect();
-            Some([&[slave, 16][..], &first.to_be_bytes(), &count.to_be_bytes(), &[bytes], &values].concat())
+            Some(
+                [&[slave, 16][..], &first.to_be_bytes(), &count.to_be_bytes(), &[bytes], &values]
+                    .concat(),
+            )
         }
         Request::Other { .. } => None,
     };

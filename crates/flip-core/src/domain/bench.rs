@@ -106,7 +106,10 @@ impl PitchLimits {
     /// The intersection of two ranges; empty (upper below lower) if they do not overlap.
     #[must_use]
     pub fn within(self, other: Self) -> Self {
-        Self { lower_deg: self.lower_deg.max(other.lower_deg), upper_deg: self.upper_deg.min(other.upper_deg) }
+        Self {
+            lower_deg: self.lower_deg.max(other.lower_deg),
+            upper_deg: self.upper_deg.min(other.upper_deg),
+        }
     }
 }
 
@@ -121,14 +124,18 @@ pub struct Reach {
 
 impl Reach {
     /// No limits beyond those of an action.
-    pub const FULL: Self =
-        Self { pitch: PitchLimits { lower_deg: -90.0, upper_deg: 90.0 }, shake_mm_max: SHAKE_MM_MAX };
+    pub const FULL: Self = Self {
+        pitch: PitchLimits { lower_deg: -90.0, upper_deg: 90.0 },
+        shake_mm_max: SHAKE_MM_MAX,
+    };
 
     /// The limits within this pitch range; `None` if dosing is impossible there: the spoon is never
     /// level, never tips down, or never shakes.
     pub fn of(&self, pitch: PitchLimits) -> Option<Self> {
         let pitch = pitch.within(self.pitch);
-        let can_dose = pitch.lower_deg <= pitch.upper_deg && pitch.upper_deg > 0.0 && self.shake_mm_max >= SHAKE_MM_MIN;
+        let can_dose = pitch.lower_deg <= pitch.upper_deg
+            && pitch.upper_deg > 0.0
+            && self.shake_mm_max >= SHAKE_MM_MIN;
         can_dose.then_some(Self { pitch, ..*self })
     }
 }

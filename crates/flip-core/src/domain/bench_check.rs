@@ -38,7 +38,9 @@ impl Repeatability {
     pub fn of(readings_mg: Vec<f64>, readability_mg: f64) -> Result<Self, FieldError> {
         let n = readings_mg.len();
         if n < REPEATABILITY_N_MIN || readings_mg.iter().any(|mg| !mg.is_finite()) {
-            let advice = format!("must hold at least {REPEATABILITY_N_MIN} weighings of one test weight, got {n}");
+            let advice = format!(
+                "must hold at least {REPEATABILITY_N_MIN} weighings of one test weight, got {n}"
+            );
             return Err(FieldError::new("readings_mg", advice));
         }
         let mean = readings_mg.iter().sum::<f64>() / n as f64;
@@ -104,7 +106,9 @@ impl ShakeCalibration {
         let refuse = |why: &str| FieldError::new("shakes", why.to_owned());
         let n = shakes.len() as f64;
         let finite = |s: &ExecutedShake| {
-            [s.commanded_mm, s.executed_mm, s.planned_mm_s, s.peak_mm_s].iter().all(|value| value.is_finite())
+            [s.commanded_mm, s.executed_mm, s.planned_mm_s, s.peak_mm_s]
+                .iter()
+                .all(|value| value.is_finite())
         };
         if shakes.len() < 3 || !shakes.iter().all(finite) {
             return Err(refuse("must hold at least three shakes, all of them measured"));
@@ -144,7 +148,10 @@ mod tests {
     #[test]
     fn the_smallest_mass_follows_the_scatter_and_at_least_the_display() {
         let exact = Repeatability::of(vec![100.0; 10], 1.0).unwrap();
-        assert!((exact.minimum_mg(0.001) - 820.0).abs() < 1e-9 && (exact.minimum_mg(0.01) - 82.0).abs() < 1e-9);
+        assert!(
+            (exact.minimum_mg(0.001) - 820.0).abs() < 1e-9
+                && (exact.minimum_mg(0.01) - 82.0).abs() < 1e-9
+        );
         let readings = (0..10).map(|k| 100.0 + f64::from(k % 2)).collect();
         let scattered = Repeatability::of(readings, 0.1).unwrap();
         assert!((scattered.sd_mg - (2.5f64 / 9.0).sqrt()).abs() < 1e-12);
@@ -161,9 +168,16 @@ mod tests {
             peak_mm_s: 36.0,
         };
         let line = ShakeCalibration::of([2.0, 4.0, 8.0, 16.0].map(shake).to_vec()).unwrap();
-        assert!((line.gain - 0.94).abs() < 1e-12 && (line.offset_mm + 0.1).abs() < 1e-12 && line.scatter_mm < 1e-9);
+        assert!(
+            (line.gain - 0.94).abs() < 1e-12
+                && (line.offset_mm + 0.1).abs() < 1e-12
+                && line.scatter_mm < 1e-9
+        );
         assert!((line.speed_gain - 0.9).abs() < 1e-12);
         assert!((line.executed_mm(line.commanded_mm(5.0)) - 5.0).abs() < 1e-12);
-        assert!(ShakeCalibration::of(vec![shake(2.0); 5]).is_err() && ShakeCalibration::of(vec![shake(2.0)]).is_err());
+        assert!(
+            ShakeCalibration::of(vec![shake(2.0); 5]).is_err()
+                && ShakeCalibration::of(vec![shake(2.0)]).is_err()
+        );
     }
 }

@@ -86,8 +86,14 @@ mod tests {
     #[test]
     fn a_patched_powder_stays_within_the_published_box_and_an_empty_patch_changes_no_bit() {
         let set = ParameterSet::default().with("cohesion", 1.0).unwrap();
-        assert_eq!(Patch::default().powder(&set).values().map(f64::to_bits), set.values().map(f64::to_bits));
-        let patch = |more: f64| Patch { parameters: [("cohesion".to_owned(), more)].into(), ..Patch::default() };
+        assert_eq!(
+            Patch::default().powder(&set).values().map(f64::to_bits),
+            set.values().map(f64::to_bits)
+        );
+        let patch = |more: f64| Patch {
+            parameters: [("cohesion".to_owned(), more)].into(),
+            ..Patch::default()
+        };
         assert_eq!(patch(0.1).powder(&set).cohesion(), 1.1);
         assert_eq!(patch(0.5).powder(&set).cohesion(), 1.2);
         assert_eq!(serde_json::to_string(&Patch::default()).unwrap(), "{}");
@@ -98,6 +104,9 @@ mod tests {
         assert_eq!(Condition::typed("65.5"), Condition::Number(65.5));
         assert_eq!(Condition::typed("B2"), Condition::Name("B2".into()));
         let both: Conditions = serde_json::from_str(r#"{"batch":"B2","rest_min":5}"#).unwrap();
-        assert_eq!((both["batch"].to_string(), both["rest_min"].to_string()), ("B2".to_owned(), "5".to_owned()));
+        assert_eq!(
+            (both["batch"].to_string(), both["rest_min"].to_string()),
+            ("B2".to_owned(), "5".to_owned())
+        );
     }
 }

@@ -21,7 +21,15 @@ pub mod weighing;
 /// A rejected input field: which field, what was expected, what to do.
 ///
 /// Every layer that rejects an input reports it with this type; the API turns it into problem+json.
-#[derive(Debug, Clone, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+#[derive(
+    Debug,
+    Clone,
+    PartialEq,
+    thiserror::Error,
+    serde::Serialize,
+    serde::Deserialize,
+    utoipa::ToSchema,
+)]
 #[error("{field}: {message}")]
 pub struct FieldError {
     /// Path of the field as the caller wrote it, e.g. `target.value`.
@@ -40,10 +48,19 @@ impl FieldError {
 
 /// Returns `value` if it is finite and within `lower..=upper`, otherwise a [`FieldError`] that
 /// states the bound.
-pub fn bounded(field: &str, value: f64, lower: f64, upper: f64, unit: &str) -> Result<f64, FieldError> {
+pub fn bounded(
+    field: &str,
+    value: f64,
+    lower: f64,
+    upper: f64,
+    unit: &str,
+) -> Result<f64, FieldError> {
     if value.is_finite() && (lower..=upper).contains(&value) {
         return Ok(value);
     }
     let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-    Err(FieldError::new(field, format!("must be a number from {lower} to {upper}{unit}, got {value}")))
+    Err(FieldError::new(
+        field,
+        format!("must be a number from {lower} to {upper}{unit}, got {value}"),
+    ))
 }

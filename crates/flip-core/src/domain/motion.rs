@@ -17,11 +17,13 @@ pub struct MotionLimits {
 impl MotionLimits {
     /// The published robot's relative dynamics 0.25 / 0.13 / 0.05 of an FR3's maxima 3 m/s, 9
     /// m/s^2, 4500 m/s^3.
-    pub const PAPER: Self = Self { velocity_m_s: 0.25 * 3.0, acceleration_m_s2: 0.13 * 9.0, jerk_m_s3: 0.05 * 4500.0 };
+    pub const PAPER: Self =
+        Self { velocity_m_s: 0.25 * 3.0, acceleration_m_s2: 0.13 * 9.0, jerk_m_s3: 0.05 * 4500.0 };
     /// FLIP's default, 0.25 / 0.5 / 0.35 of the same maxima: 0.46 g. At the published 0.12 g a
     /// smooth shake acts like 7 deg more tilt, and simulated salt yields 3 mg in five shakes at 45
     /// deg; the published robot's arm adds vibration that a rigid spoon does not have.
-    pub const BRISK: Self = Self { velocity_m_s: 0.25 * 3.0, acceleration_m_s2: 0.5 * 9.0, jerk_m_s3: 0.35 * 4500.0 };
+    pub const BRISK: Self =
+        Self { velocity_m_s: 0.25 * 3.0, acceleration_m_s2: 0.5 * 9.0, jerk_m_s3: 0.35 * 4500.0 };
 }
 
 /// Limits of a rotation.
@@ -38,7 +40,8 @@ pub struct TurnLimits {
 
 impl TurnLimits {
     /// FLIP's default: at most 60 deg/s, reached within a tenth of a second.
-    pub const DEFAULT: Self = Self { velocity_deg_s: 60.0, acceleration_deg_s2: 1200.0, jerk_deg_s3: 24_000.0 };
+    pub const DEFAULT: Self =
+        Self { velocity_deg_s: 60.0, acceleration_deg_s2: 1200.0, jerk_deg_s3: 24_000.0 };
 }
 
 /// A [`Move`] is unit-agnostic: given limits in degrees, its "metres" are degrees.
@@ -100,7 +103,15 @@ impl Move {
         }
         let ramp = peak / j;
         let rise = speed / peak.max(1e-12) + ramp;
-        Self { limits, distance_m, ramp_s: ramp, peak_m_s2: peak, top_m_s: speed, rise_s: rise, cruise_s: cruise }
+        Self {
+            limits,
+            distance_m,
+            ramp_s: ramp,
+            peak_m_s2: peak,
+            top_m_s: speed,
+            rise_s: rise,
+            cruise_s: cruise,
+        }
     }
 
     /// Time from rest to rest, s.
@@ -169,7 +180,10 @@ impl Move {
             return [a * (t - ramp / 2.0), a * (t * t / 2.0 - t * ramp / 2.0 + ramp * ramp / 6.0)];
         }
         let whole = self.top_m_s * self.rise_s / 2.0;
-        [self.top_m_s - j * left * left / 2.0, whole - self.top_m_s * left + j * left * left * left / 6.0]
+        [
+            self.top_m_s - j * left * left / 2.0,
+            whole - self.top_m_s * left + j * left * left * left / 6.0,
+        ]
     }
 }
 
@@ -209,8 +223,14 @@ mod tests {
                 if k % 1000 == 0 {
                     let t = f64::from(k + 1) * dt;
                     // The sum is first-order accurate in the step.
-                    assert!((plan.velocity_m_s(t) - v).abs() < 1e-4 * plan.top_m_s(), "speed at {t} of {distance}");
-                    assert!((plan.position_m(t) - x).abs() < 1e-4 * distance, "way at {t} of {distance}");
+                    assert!(
+                        (plan.velocity_m_s(t) - v).abs() < 1e-4 * plan.top_m_s(),
+                        "speed at {t} of {distance}"
+                    );
+                    assert!(
+                        (plan.position_m(t) - x).abs() < 1e-4 * distance,
+                        "way at {t} of {distance}"
+                    );
                 }
             }
         }
@@ -225,10 +245,19 @@ mod tests {
             for k in 0..=10_000 {
                 let t = f64::from(k) * dt;
                 let acceleration = plan.acceleration_m_s2(t);
-                assert!(plan.velocity_m_s(t) <= limits.velocity_m_s * (1.0 + 1e-12), "speed at {t} of {distance}");
-                assert!(acceleration.abs() <= limits.acceleration_m_s2 * (1.0 + 1e-12), "at {t} of {distance}");
+                assert!(
+                    plan.velocity_m_s(t) <= limits.velocity_m_s * (1.0 + 1e-12),
+                    "speed at {t} of {distance}"
+                );
+                assert!(
+                    acceleration.abs() <= limits.acceleration_m_s2 * (1.0 + 1e-12),
+                    "at {t} of {distance}"
+                );
                 let jerk = (acceleration - before).abs() / dt;
-                assert!(jerk <= limits.jerk_m_s3 * (1.0 + 1e-6), "jerk {jerk} at {t} of {distance}");
+                assert!(
+                    jerk <= limits.jerk_m_s3 * (1.0 + 1e-6),
+                    "jerk {jerk} at {t} of {distance}"
+                );
                 before = acceleration;
             }
             let end = plan.duration_s();
@@ -241,6 +270,9 @@ mod tests {
     #[test]
     fn no_way_takes_no_time() {
         let plan = Move::new(0.0, MotionLimits::PAPER);
-        assert_eq!((plan.duration_s(), plan.position_m(0.0), plan.velocity_m_s(1.0)), (0.0, 0.0, 0.0));
+        assert_eq!(
+            (plan.duration_s(), plan.position_m(0.0), plan.velocity_m_s(1.0)),
+            (0.0, 0.0, 0.0)
+        );
     }
 }

@@ -112,7 +112,9 @@ impl Observable {
             Self::FlowTime { .. } => [0.01, 1e5],
             Self::ShakeMass { .. } => [0.0, 50.0],
             Self::DrainedAngle {} => [5.0, 85.0],
-            Self::PileHeight { base_diameter_mm, .. } => [0.04, 5.0].map(|share| share * base_diameter_mm),
+            Self::PileHeight { base_diameter_mm, .. } => {
+                [0.04, 5.0].map(|share| share * base_diameter_mm)
+            }
         }
     }
 }
@@ -128,7 +130,10 @@ impl Observation {
         bounded("mean", self.mean, lower, upper, self.observable.unit())?;
         bounded("sd", self.sd, SD_MIN, upper, self.observable.unit())?;
         if !(2..=10_000).contains(&self.n) {
-            return Err(FieldError::new("n", format!("must be from 2 to 10000 repeats, got {}", self.n)));
+            return Err(FieldError::new(
+                "n",
+                format!("must be from 2 to 10000 repeats, got {}", self.n),
+            ));
         }
         Ok(self)
     }
@@ -142,13 +147,21 @@ mod tests {
 
     #[test]
     fn impossible_observations_are_refused_by_field() {
-        let field = |observable, mean, sd, n| Observation { observable, mean, sd, n }.checked().unwrap_err().field;
+        let field = |observable, mean, sd, n| {
+            Observation { observable, mean, sd, n }.checked().unwrap_err().field
+        };
         assert_eq!(field(SHAKE, -1.0, 0.1, 5), "mean");
         assert_eq!(field(SHAKE, 1.0, f64::NAN, 5), "sd");
         assert_eq!(field(SHAKE, 1.0, 0.0, 5), "sd");
         assert_eq!(field(SHAKE, 1.0, 0.1, 1), "n");
-        assert_eq!(field(Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 0.1 }, 1.0, 0.1, 5), "shake_mm");
-        assert_eq!(field(Observable::FlowTime { mass_g: 50.0, orifice_mm: 9.0 }, 30.0, 1.0, 5), "orifice_mm");
+        assert_eq!(
+            field(Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 0.1 }, 1.0, 0.1, 5),
+            "shake_mm"
+        );
+        assert_eq!(
+            field(Observable::FlowTime { mass_g: 50.0, orifice_mm: 9.0 }, 30.0, 1.0, 5),
+            "orifice_mm"
+        );
         assert_eq!(field(Observable::DrainedAngle {}, 2.0, 1.0, 5), "mean");
         let pile = |fall_mm| Observable::PileHeight { base_diameter_mm: 40.0, fall_mm };
         assert_eq!(field(pile(1.0), 12.0, 1.0, 5), "fall_mm");
@@ -157,7 +170,9 @@ mod tests {
 
     #[test]
     fn the_same_experiment_at_another_scale_is_the_same() {
-        let pile = |base_diameter_mm, fall_mm| Observable::PileHeight { base_diameter_mm, fall_mm }.experiment();
+        let pile = |base_diameter_mm, fall_mm| {
+            Observable::PileHeight { base_diameter_mm, fall_mm }.experiment()
+        };
         assert_eq!(pile(40.0, 8.0), pile(60.0, 12.0));
         let flow = |mass_g| Observable::FlowTime { mass_g, orifice_mm: 2.5 }.experiment();
         assert_eq!(flow(50.0), flow(1.0));
@@ -168,7 +183,8 @@ mod tests {
     fn an_observation_reads_as_it_is_written_and_nothing_more() {
         let hall = Observable::FlowTime { mass_g: 50.0, orifice_mm: 2.54 };
         for observable in [SHAKE, hall, Observable::DrainedAngle {}] {
-            let observation = Observation { observable, mean: 20.0, sd: 1.0, n: 5 }.checked().unwrap();
+            let observation =
+                Observation { observable, mean: 20.0, sd: 1.0, n: 5 }.checked().unwrap();
             let text = serde_json::to_string(&observation).unwrap();
             assert!(text.contains(observable.kind()), "{text}");
             assert_eq!(serde_json::from_str::<Observation>(&text).unwrap(), observation);

@@ -83,7 +83,14 @@ pub const PARAMETERS: [Parameter; COUNT] = [
         default: 0.0,
         meaning: "drag: velocity decays at this rate",
     },
-    Parameter { key: "cohesion", unit: "", lower: 0.0, upper: 1.2, default: 0.0, meaning: "attraction between grains" },
+    Parameter {
+        key: "cohesion",
+        unit: "",
+        lower: 0.0,
+        upper: 1.2,
+        default: 0.0,
+        meaning: "attraction between grains",
+    },
     Parameter {
         key: "particle_mass_ug",
         unit: "ug",
@@ -209,7 +216,9 @@ impl ParameterSet {
     /// Each value as a fraction of its published range, 0 at the lower bound and 1 at the upper.
     pub fn to_unit(&self) -> [f64; COUNT] {
         let values = self.values();
-        std::array::from_fn(|k| (values[k] - PARAMETERS[k].lower) / (PARAMETERS[k].upper - PARAMETERS[k].lower))
+        std::array::from_fn(|k| {
+            (values[k] - PARAMETERS[k].lower) / (PARAMETERS[k].upper - PARAMETERS[k].lower)
+        })
     }
 
     /// The inverse of [`ParameterSet::to_unit`]; fractions outside 0..=1 are clamped to the bounds.
@@ -293,7 +302,12 @@ mod tests {
         let text = serde_json::to_string(&set).unwrap();
         assert_eq!(serde_json::from_str::<ParameterSet>(&text).unwrap(), set);
         let bad = text.replace(&format!("\"friction\":{}", set.friction()), "\"friction\":1.31");
-        assert!(serde_json::from_str::<ParameterSet>(&bad).unwrap_err().to_string().contains("friction"));
+        assert!(
+            serde_json::from_str::<ParameterSet>(&bad)
+                .unwrap_err()
+                .to_string()
+                .contains("friction")
+        );
     }
 
     #[test]

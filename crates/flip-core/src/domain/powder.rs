@@ -63,7 +63,9 @@ impl Flowability {
         Self::new(mean.clamp(5.0, 85.0), sd, angles_deg.len() as u32).map_err(|_| {
             FieldError::new(
                 field,
-                format!("spread by {sd} deg: repeats of one powder must have an SD from 0 to 45 deg"),
+                format!(
+                    "spread by {sd} deg: repeats of one powder must have an SD from 0 to 45 deg"
+                ),
             )
         })
     }
@@ -108,7 +110,9 @@ impl HeapReadings<'_> {
         repeats("heights_mm", heights_mm)?;
         let (heaps, bases) = (heights_mm.len(), base_diameters_mm.len());
         if bases != 1 && bases != heaps {
-            let advice = format!("must hold one diameter for each of the {heaps} heights, or one for all, got {bases}");
+            let advice = format!(
+                "must hold one diameter for each of the {heaps} heights, or one for all, got {bases}"
+            );
             return Err(FieldError::new("base_diameters_mm", advice));
         }
         for (k, &diameter) in base_diameters_mm.iter().enumerate() {
@@ -118,14 +122,26 @@ impl HeapReadings<'_> {
             bounded("funnel_height_mm", funnel, 0.1, 3000.0, "mm")?;
         }
         let bases = base_diameters_mm.iter().cycle();
-        heights_mm.iter().zip(bases).enumerate().map(|(k, (&h, &d))| heap_deg(k, h, d, funnel_height_mm)).collect()
+        heights_mm
+            .iter()
+            .zip(bases)
+            .enumerate()
+            .map(|(k, (&h, &d))| heap_deg(k, h, d, funnel_height_mm))
+            .collect()
     }
 }
 
-fn heap_deg(k: usize, height_mm: f64, diameter_mm: f64, funnel_mm: Option<f64>) -> Result<f64, FieldError> {
+fn heap_deg(
+    k: usize,
+    height_mm: f64,
+    diameter_mm: f64,
+    funnel_mm: Option<f64>,
+) -> Result<f64, FieldError> {
     let field = || format!("heights_mm[{k}]");
     if let Some(funnel) = funnel_mm.filter(|&funnel| height_mm > funnel) {
-        let advice = format!("must not be above the funnel's {funnel} mm, got {height_mm}: no heap rises past the tip");
+        let advice = format!(
+            "must not be above the funnel's {funnel} mm, got {height_mm}: no heap rises past the tip"
+        );
         return Err(FieldError::new(field(), advice));
     }
     let angle = (2.0 * height_mm / diameter_mm).atan().to_degrees();
@@ -165,7 +181,10 @@ pub fn powder_id(field: &str, text: &str) -> Result<String, FieldError> {
         && text.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
     match ok {
         true => Ok(text.to_owned()),
-        false => Err(FieldError::new(field, "must be a lower-case letter followed by at most 63 of a-z, 0-9 and _")),
+        false => Err(FieldError::new(
+            field,
+            "must be a lower-case letter followed by at most 63 of a-z, 0-9 and _",
+        )),
     }
 }
 
@@ -187,16 +206,35 @@ const fn angle(repose_deg: f64, sd_deg: f64) -> Flowability {
 }
 
 /// Source of [`PUBLISHED`].
-pub const PUBLISHED_SOURCE: &str =
-    "arXiv:2506.03896, table of automated and manual (ISO 8398) angles of repose, five repeats each";
+pub const PUBLISHED_SOURCE: &str = "arXiv:2506.03896, table of automated and manual (ISO 8398) angles of repose, five repeats each";
 
 /// The published measurements, from the most to the least flowable, in the paper's order. Facts
 /// from [`PUBLISHED_SOURCE`].
 pub const PUBLISHED: [Published; 5] = [
-    Published { id: "sand", name: "Sand", automated: angle(28.55, 1.94), manual: angle(27.69, 2.54) },
-    Published { id: "sugar", name: "Sugar", automated: angle(31.41, 1.42), manual: angle(30.93, 0.87) },
-    Published { id: "salt", name: "Salt", automated: angle(36.03, 2.29), manual: angle(35.80, 1.71) },
-    Published { id: "semolina", name: "Semolina", automated: angle(42.762, 1.97), manual: angle(40.91, 1.85) },
+    Published {
+        id: "sand",
+        name: "Sand",
+        automated: angle(28.55, 1.94),
+        manual: angle(27.69, 2.54),
+    },
+    Published {
+        id: "sugar",
+        name: "Sugar",
+        automated: angle(31.41, 1.42),
+        manual: angle(30.93, 0.87),
+    },
+    Published {
+        id: "salt",
+        name: "Salt",
+        automated: angle(36.03, 2.29),
+        manual: angle(35.80, 1.71),
+    },
+    Published {
+        id: "semolina",
+        name: "Semolina",
+        automated: angle(42.762, 1.97),
+        manual: angle(40.91, 1.85),
+    },
     Published {
         id: "sodium_bicarbonate",
         name: "Sodium bicarbonate",
@@ -241,9 +279,14 @@ mod tests {
     fn the_published_doses_have_their_published_mean_and_name_published_powders() {
         let errors: Vec<f64> = PUBLISHED_DOSES.iter().flat_map(|(_, errors)| *errors).collect();
         assert!((errors.iter().sum::<f64>() / 10.0 - PUBLISHED_DOSES_OVERALL_MG[0]).abs() < 1e-9);
-        assert!(PUBLISHED_DOSES.iter().all(|(id, _)| PUBLISHED.iter().any(|powder| powder.id == *id)));
+        assert!(
+            PUBLISHED_DOSES.iter().all(|(id, _)| PUBLISHED.iter().any(|powder| powder.id == *id))
+        );
         assert_eq!(published_mae_mg("semolina", 20.0), Some(2.8));
-        assert_eq!((published_mae_mg("semolina", 10.0), published_mae_mg("flour", 15.0)), (None, None));
+        assert_eq!(
+            (published_mae_mg("semolina", 10.0), published_mae_mg("flour", 15.0)),
+            (None, None)
+        );
     }
 
     #[test]
@@ -257,7 +300,8 @@ mod tests {
 
     #[test]
     fn impossible_repeats_are_refused_by_position() {
-        let field = |angles: &[f64]| Flowability::of_repeats("repeats_deg", angles).unwrap_err().field;
+        let field =
+            |angles: &[f64]| Flowability::of_repeats("repeats_deg", angles).unwrap_err().field;
         assert_eq!(field(&[]), "repeats_deg");
         assert_eq!(field(&[30.0; 10_001]), "repeats_deg");
         assert_eq!(field(&[30.0, 4.9]), "repeats_deg[1]");
@@ -273,11 +317,16 @@ mod tests {
         let one = of(&[20.0], &[40.0], None).unwrap();
         assert!((one.repose_deg - 45.0).abs() < 1e-12 && one.n == 1);
         // tan 30 deg = 0.57735: the same angle on two bases has no spread.
-        let two =
-            of(&[28.867_513_459_481_29, 57.735_026_918_962_57], &[100.0, 200.0], Some(57.735_026_918_962_57)).unwrap();
+        let two = of(
+            &[28.867_513_459_481_29, 57.735_026_918_962_57],
+            &[100.0, 200.0],
+            Some(57.735_026_918_962_57),
+        )
+        .unwrap();
         assert!((two.repose_deg - 30.0).abs() < 1e-9 && two.sd_deg < 1e-9 && two.n == 2);
         assert_eq!(of(&[20.0; 3], &[40.0], None).unwrap().n, 3);
-        let field = |heights: &[f64], bases: &[f64], funnel| of(heights, bases, funnel).unwrap_err().field;
+        let field =
+            |heights: &[f64], bases: &[f64], funnel| of(heights, bases, funnel).unwrap_err().field;
         assert_eq!(field(&[], &[40.0], None), "heights_mm");
         assert_eq!(field(&[20.0; 3], &[40.0; 2], None), "base_diameters_mm");
         assert_eq!(field(&[20.0], &[], None), "base_diameters_mm");

@@ -147,7 +147,11 @@ mod tests {
         let long = of(&"Starch ".repeat(13));
         assert!(long.len() <= 64 && powder_id("id", &long).is_ok(), "{long}");
         for name in ["", "!?", "a\nb", &"x ".repeat(51)] {
-            assert_eq!(id_of_powder("row[2].powder", name).unwrap_err().field, "row[2].powder", "{name:?}");
+            assert_eq!(
+                id_of_powder("row[2].powder", name).unwrap_err().field,
+                "row[2].powder",
+                "{name:?}"
+            );
         }
     }
 
@@ -155,7 +159,10 @@ mod tests {
     fn names_of_other_alphabets_have_ids_that_differ() {
         let of = |name: &str| id_of_powder("powder", name).unwrap();
         let [salt, sugar, named] = [of("食盐"), of("白糖"), of("食盐 A")];
-        assert!(salt != sugar && salt.starts_with("p_") && named.starts_with("a_"), "{salt} {sugar} {named}");
+        assert!(
+            salt != sugar && salt.starts_with("p_") && named.starts_with("a_"),
+            "{salt} {sugar} {named}"
+        );
         assert!([&salt, &sugar, &named].iter().all(|id| powder_id("id", id).is_ok()));
         assert_eq!(salt, of("食盐"), "the same every time");
     }

@@ -61,7 +61,9 @@ impl Rest {
         let times_s2: f64 = seen.iter().map(|one| (one.t_s - at_s).powi(2)).sum();
         let both: f64 = seen.iter().map(|one| (one.t_s - at_s) * (one.mass_mg - mean_mg)).sum();
         let (level, tilt) = remembered(seen, at_s);
-        let steps = seen.windows(2).map(|pair| (pair[1].mass_mg - pair[0].mass_mg, pair[1].t_s - pair[0].t_s));
+        let steps = seen
+            .windows(2)
+            .map(|pair| (pair[1].mass_mg - pair[0].mass_mg, pair[1].t_s - pair[0].t_s));
         Some(Self {
             readings: seen.len(),
             at_s,
@@ -71,7 +73,9 @@ impl Rest {
             slope_mg_s: if times_s2 > 0.0 { both / times_s2 } else { 0.0 },
             squares_mg2: seen.iter().map(|one| (one.mass_mg - mean_mg).powi(2)).sum(),
             times_s2,
-            steps: steps.clone().fold([0.0; 3], |sum, (mg, s)| [sum[0] + mg * mg, sum[1] + mg * s, sum[2] + s * s]),
+            steps: steps
+                .clone()
+                .fold([0.0; 3], |sum, (mg, s)| [sum[0] + mg * mg, sum[1] + mg * s, sum[2] + s * s]),
             level: level / (n * n),
             tilt: if times_s2 > 0.0 { tilt / times_s2.powi(2) } else { 0.0 },
             forgotten: steps.map(|(_, s)| 1.0 - kept(s)).sum(),
@@ -103,13 +107,19 @@ mod tests {
     use super::*;
 
     fn ramp(n: u32, step_s: f64, slope_mg_s: f64) -> Vec<Moment> {
-        (0..n).map(|k| f64::from(k) * step_s).map(|t_s| Moment { t_s, mass_mg: 3.0 + slope_mg_s * t_s }).collect()
+        (0..n)
+            .map(|k| f64::from(k) * step_s)
+            .map(|t_s| Moment { t_s, mass_mg: 3.0 + slope_mg_s * t_s })
+            .collect()
     }
 
     #[test]
     fn a_straight_line_is_its_mean_and_its_slope() {
         let rest = Rest::of(&ramp(5, 2.0, 0.5)).unwrap();
-        assert_eq!((rest.readings, rest.at_s, rest.seconds, rest.mean_mg, rest.last_mg), (5, 4.0, 8.0, 5.0, 7.0));
+        assert_eq!(
+            (rest.readings, rest.at_s, rest.seconds, rest.mean_mg, rest.last_mg),
+            (5, 4.0, 8.0, 5.0, 7.0)
+        );
         assert!((rest.slope_mg_s - 0.5).abs() < 1e-12 && (rest.times_s2 - 40.0).abs() < 1e-12);
         assert!((rest.squares_mg2 - 10.0).abs() < 1e-12);
         assert_eq!(rest.steps, [4.0, 8.0, 16.0]);
@@ -120,12 +130,19 @@ mod tests {
         // Two readings: (1 + k) / 2, and for the slope of times -dt/2 and dt/2: 2 (1 - k) / dt^2.
         let (dt_s, k) = (3.0, (-0.5f64).exp());
         let two = Rest::of(&ramp(2, dt_s, 0.0)).unwrap();
-        assert!((two.level - (1.0 + k) / 2.0).abs() < 1e-12 && (two.tilt - 2.0 * (1.0 - k) / 9.0).abs() < 1e-12);
+        assert!(
+            (two.level - (1.0 + k) / 2.0).abs() < 1e-12
+                && (two.tilt - 2.0 * (1.0 - k) / 9.0).abs() < 1e-12
+        );
         assert!((two.forgotten - (1.0 - k)).abs() < 1e-12);
         // For many readings, the integral: 2/x (1 - (1 - e^-x) / x) with x = T / MEMORY_S.
         let many = Rest::of(&ramp(2001, 0.01, 0.0)).unwrap();
         let x: f64 = 20.0 / MEMORY_S;
-        assert!((many.level - 2.0 / x * (1.0 - (1.0 - (-x).exp()) / x)).abs() < 1e-3, "{}", many.level);
+        assert!(
+            (many.level - 2.0 / x * (1.0 - (1.0 - (-x).exp()) / x)).abs() < 1e-3,
+            "{}",
+            many.level
+        );
         assert!((Rest::of(&ramp(2, 600.0, 0.0)).unwrap().level - 0.5).abs() < 1e-9);
     }
 

@@ -6,7 +6,9 @@
 /// that streams of neighbouring indices are visibly unrelated. Pure: the same inputs give the same
 /// seed on every machine.
 pub fn derive(seed: u64, path: &[u64]) -> u64 {
-    path.iter().fold(mix(seed), |state, &index| mix(state ^ mix(index.wrapping_add(0x9E37_79B9_7F4A_7C15))))
+    path.iter().fold(mix(seed), |state, &index| {
+        mix(state ^ mix(index.wrapping_add(0x9E37_79B9_7F4A_7C15)))
+    })
 }
 
 /// An index for [`derive`] made from a name, so that a named item draws the same numbers wherever
@@ -28,7 +30,8 @@ mod tests {
 
     #[test]
     fn paths_give_different_seeds_and_the_same_path_the_same_seed() {
-        let mut seen: Vec<u64> = (0..1000).flat_map(|i| (0..10).map(move |j| derive(7, &[i, j]))).collect();
+        let mut seen: Vec<u64> =
+            (0..1000).flat_map(|i| (0..10).map(move |j| derive(7, &[i, j]))).collect();
         assert_eq!(derive(7, &[3, 4]), derive(7, &[3, 4]));
         seen.sort_unstable();
         seen.dedup();

@@ -86,7 +86,12 @@ mod tests {
 
     #[test]
     fn a_bowl_has_three_sides_or_none() {
-        let bowl = Spoon { length_mm: Some(12.0), width_mm: Some(9.0), depth_mm: Some(4.0), ..Spoon::default() };
+        let bowl = Spoon {
+            length_mm: Some(12.0),
+            width_mm: Some(9.0),
+            depth_mm: Some(4.0),
+            ..Spoon::default()
+        };
         assert_eq!(bowl.checked().unwrap().bowl_mm(), Some([12.0, 9.0, 4.0]));
         assert_eq!(Spoon::default().checked(), Ok(Spoon::default()));
         for (field, wrong) in [
@@ -101,7 +106,8 @@ mod tests {
     #[test]
     fn what_is_usual_is_not_written_down() {
         assert_eq!(serde_json::to_string(&Spoon::default()).unwrap(), "{}");
-        let hand: Spoon = serde_json::from_str(r#"{"filled_by": "hand", "capacity_mg": 60}"#).unwrap();
+        let hand: Spoon =
+            serde_json::from_str(r#"{"filled_by": "hand", "capacity_mg": 60}"#).unwrap();
         assert_eq!((hand.filled_by, hand.capacity_mg), (FilledBy::Hand, Some(60.0)));
     }
 }

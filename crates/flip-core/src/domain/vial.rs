@@ -187,10 +187,19 @@ impl PanCheck {
         if bands().next().is_none() || bands().any(|band| band.holds(shown_mg)) {
             return None;
         }
-        let over_mg = bands().map(|band| shown_mg - band.upper_mg).filter(|mg| *mg > 0.0).fold(f64::INFINITY, f64::min);
-        let under_mg =
-            bands().map(|band| band.lower_mg - shown_mg).filter(|mg| *mg > 0.0).fold(f64::INFINITY, f64::min);
-        Some(if over_mg <= under_mg { VialFlaw::NotEmpty { over_mg } } else { VialFlaw::TooLight { under_mg } })
+        let over_mg = bands()
+            .map(|band| shown_mg - band.upper_mg)
+            .filter(|mg| *mg > 0.0)
+            .fold(f64::INFINITY, f64::min);
+        let under_mg = bands()
+            .map(|band| band.lower_mg - shown_mg)
+            .filter(|mg| *mg > 0.0)
+            .fold(f64::INFINITY, f64::min);
+        Some(if over_mg <= under_mg {
+            VialFlaw::NotEmpty { over_mg }
+        } else {
+            VialFlaw::TooLight { under_mg }
+        })
     }
 }
 
@@ -216,7 +225,9 @@ impl Pan {
     /// pan with an empty vial.
     fn empty_bands(&self, lab: Option<EmptyVial>) -> [Option<Band>; 2] {
         match (lab, self.zero_mg) {
-            (Some(lab), zero_mg) => [Some(lab.band(zero_mg.unwrap_or(lab.empty_mg))), Some(lab.band(0.0))],
+            (Some(lab), zero_mg) => {
+                [Some(lab.band(zero_mg.unwrap_or(lab.empty_mg))), Some(lab.band(0.0))]
+            }
             (None, Some(zero_mg)) => {
                 let learned = self.learned();
                 [learned.map(|it| it.band(zero_mg)), learned.map(|it| it.band(0.0))]
@@ -233,15 +244,28 @@ impl Pan {
         let n = self.empties_mg.len() as f64;
         let empty_mg = self.empties_mg.iter().sum::<f64>() / n;
         let squares: f64 = self.empties_mg.iter().map(|mg| (mg - empty_mg).powi(2)).sum();
-        Some(EmptyVial { empty_mg, spread_mg: (SPREADS * (squares / (n - 1.0)).sqrt()).max(ALIKE_MG) })
+        Some(EmptyVial {
+            empty_mg,
+            spread_mg: (SPREADS * (squares / (n - 1.0)).sqrt()).max(ALIKE_MG),
+        })
     }
 
     /// The state during a dose: the vial's content is unknown; this is what remains if the process
     /// ends.
     #[must_use]
     pub fn begun(&self, weighing: &str, vial: Option<&str>, at: Timestamp) -> Self {
-        let vial = Vial { name: vial.map(str::to_owned), weighing: weighing.to_owned(), holds_mg: None, since: at };
-        Self { vial: Some(vial), zero_mg: None, shown_mg: None, empties_mg: self.empties_mg.clone() }
+        let vial = Vial {
+            name: vial.map(str::to_owned),
+            weighing: weighing.to_owned(),
+            holds_mg: None,
+            since: at,
+        };
+        Self {
+            vial: Some(vial),
+            zero_mg: None,
+            shown_mg: None,
+            empties_mg: self.empties_mg.clone(),
+        }
     }
 
     /// The state after a dose that began with this pan.
@@ -249,7 +273,10 @@ impl Pan {
     pub fn after(&self, dosed: &Dosed) -> Self {
         let tare_mg = dosed.tare_mg;
         let alike_mg = (STEPS_ALIKE * dosed.step_mg).max(WANDER_MG);
-        let same = self.vial.as_ref().filter(|_| self.shown_mg.is_some_and(|mg| (mg - tare_mg).abs() <= alike_mg));
+        let same = self
+            .vial
+            .as_ref()
+            .filter(|_| self.shown_mg.is_some_and(|mg| (mg - tare_mg).abs() <= alike_mg));
         let before_mg = same.map_or(Some(0.0), |vial| vial.holds_mg);
         let vial = Vial {
             name: dosed.vial.clone().or_else(|| same.and_then(|vial| vial.name.clone())),
@@ -274,7 +301,9 @@ impl Pan {
     fn zero_after(&self, tare_mg: f64) -> (f64, Vec<f64>) {
         let learned = self.learned();
         match self.zero_mg {
-            Some(zero_mg) if learned.is_none_or(|it| it.holds(zero_mg + tare_mg) || !it.holds(tare_mg)) => {
+            Some(zero_mg)
+                if learned.is_none_or(|it| it.holds(zero_mg + tare_mg) || !it.holds(tare_mg)) =>
+            {
                 (zero_mg + tare_mg, self.empties_mg.clone())
             }
             // The empty pan was tared, as at the beginning.
@@ -312,14 +341,20 @@ mod tests {
 
     /// A pan after these doses, its display zeroed on the vial of the previous one.
     fn after(doses: &[(f64, f64)]) -> Pan {
-        doses.iter().fold(Pan::default(), |pan, (tare_mg, shown_mg)| pan.after(&dosed(*tare_mg, *shown_mg, "A")))
+        doses.iter().fold(Pan::default(), |pan, (tare_mg, shown_mg)| {
+            pan.after(&dosed(*tare_mg, *shown_mg, "A"))
+        })
     }
 
     #[test]
     fn the_vial_of_the_dose_before_is_known_by_what_it_holds_and_any_other_passes() {
         let check = after(&[(11_999.0, 8.0)]).check(1.0, None);
         for shown_mg in [6.0, 8.0, 9.0, 11.0] {
-            assert_eq!(check.flaw(shown_mg), Some(VialFlaw::SameAsBefore { shown_mg }), "{shown_mg}");
+            assert_eq!(
+                check.flaw(shown_mg),
+                Some(VialFlaw::SameAsBefore { shown_mg }),
+                "{shown_mg}"
+            );
         }
         // Empty vials of equal mass, lighter and heavier.
         for shown_mg in [0.0, -60.0, 130.0, 3.0] {
@@ -331,11 +366,15 @@ mod tests {
     fn two_doses_in_one_vial_are_still_that_vial_and_a_dose_of_nothing_leaves_it_empty() {
         let pan = after(&[(11_999.0, 8.0), (8.0, 3.0)]);
         assert_eq!(pan.vial.as_ref().unwrap().holds_mg, Some(11.0));
-        assert!(pan.check(1.0, None).flaw(3.0).is_some() && pan.check(1.0, None).flaw(-8.0).is_none());
+        assert!(
+            pan.check(1.0, None).flaw(3.0).is_some() && pan.check(1.0, None).flaw(-8.0).is_none()
+        );
         assert_eq!(after(&[(11_999.0, 0.0)]).check(1.0, None).flaw(0.0), None);
         // A small dose against an empty vial of equal mass.
         let small = after(&[(11_999.0, 2.0)]).check(1.0, None);
-        assert!(small.flaw(0.0).is_none() && small.flaw(2.0).is_some() && small.flaw(1.0).is_some());
+        assert!(
+            small.flaw(0.0).is_none() && small.flaw(2.0).is_some() && small.flaw(1.0).is_some()
+        );
     }
 
     #[test]
@@ -354,7 +393,11 @@ mod tests {
         // vial.
         let first = Pan::default().check(1.0, Some(lab));
         assert!(first.flaw(11_990.0).is_none() && first.flaw(3.0).is_none());
-        assert!(first.flaw(12_040.0).is_some() && first.flaw(40.0).is_some() && first.flaw(6000.0).is_some());
+        assert!(
+            first.flaw(12_040.0).is_some()
+                && first.flaw(40.0).is_some()
+                && first.flaw(6000.0).is_some()
+        );
     }
 
     #[test]

@@ -115,14 +115,26 @@ impl<const D: usize> GaussianProcess<D> {
             return Err(GaussianProcessError::Shape);
         }
         let h = &hyperparameters;
-        let positive = h.lengthscales.iter().chain([&h.signal_sd]).chain(noise).all(|v| v.is_finite() && *v > 0.0);
-        let finite = inputs.iter().flatten().chain(outputs).chain([&h.mean, &h.noise_sd]).all(|v| v.is_finite());
+        let positive = h
+            .lengthscales
+            .iter()
+            .chain([&h.signal_sd])
+            .chain(noise)
+            .all(|v| v.is_finite() && *v > 0.0);
+        let finite = inputs
+            .iter()
+            .flatten()
+            .chain(outputs)
+            .chain([&h.mean, &h.noise_sd])
+            .all(|v| v.is_finite());
         if !positive || !finite {
             return Err(GaussianProcessError::NotFinite);
         }
         let covariance = covariance(inputs, noise, h);
-        let factor = factorise(covariance, h.signal_sd.powi(2)).ok_or(GaussianProcessError::Singular)?;
-        let weights = factor.solve(&DVector::from_iterator(outputs.len(), outputs.iter().map(|y| y - h.mean)));
+        let factor =
+            factorise(covariance, h.signal_sd.powi(2)).ok_or(GaussianProcessError::Singular)?;
+        let weights = factor
+            .solve(&DVector::from_iterator(outputs.len(), outputs.iter().map(|y| y - h.mean)));
         let (inputs, outputs, noise) = (inputs.to_vec(), outputs.to_vec(), noise.to_vec());
         Ok(Self { hyperparameters, inputs, outputs, noise, factor, weights })
     }
@@ -130,7 +142,8 @@ impl<const D: usize> GaussianProcess<D> {
     /// Posterior mean at `x`.
     pub fn mean(&self, x: &[f64; D]) -> f64 {
         let h = &self.hyperparameters;
-        let sum: f64 = self.inputs.iter().zip(&self.weights).map(|(xi, w)| h.correlation(xi, x) * w).sum();
+        let sum: f64 =
+            self.inputs.iter().zip(&self.weights).map(|(xi, w)| h.correlation(xi, x) * w).sum();
         h.mean + h.signal_sd.powi(2) * sum
     }
 
@@ -139,7 +152,8 @@ impl<const D: usize> GaussianProcess<D> {
         let h = &self.hyperparameters;
         let variance = h.signal_sd.powi(2);
         let n = self.inputs.len();
-        let covariances = DVector::from_iterator(n, self.inputs.iter().map(|xi| variance * h.correlation(xi, x)));
+        let covariances =
+            DVector::from_iterator(n, self.inputs.iter().map(|xi| variance * h.correlation(xi, x)));
         let mean = h.mean + covariances.dot(&self.weights);
         let explained = match self.factor.l_dirty().solve_lower_triangular(&covariances) {
             Some(v) => v.norm_squared(),
@@ -162,7 +176,8 @@ impl<const D: usize> GaussianProcess<D> {
     /// Returns this process with more observations, each an input, an output and its noise as in
     /// [`Self::with_noise`], and the same hyperparameters. Unchanged if they cannot be added.
     pub fn observe(&self, more: &[([f64; D], f64, f64)]) -> Self {
-        let (mut inputs, mut outputs, mut noise) = (self.inputs.clone(), self.outputs.clone(), self.noise.clone());
+        let (mut inputs, mut outputs, mut noise) =
+            (self.inputs.clone(), self.outputs.clone(), self.noise.clone());
         for (x, y, q) in more {
             inputs.push(*x);
             outputs.push(*y);
@@ -179,7 +194,11 @@ impl<const D: usize> GaussianProcess<D> {
 }
 
 /// `K` above without jitter, `[n, n]`.
-fn covariance<const D: usize>(inputs: &[[f64; D]], noise: &[f64], h: &Hyperparameters<D>) -> DMatrix<f64> {
+fn covariance<const D: usize>(
+    inputs: &[[f64; D]],
+    noise: &[f64],
+    h: &Hyperparameters<D>,
+) -> DMatrix<f64> {
     let (variance, unit) = (h.signal_sd.powi(2), h.noise_sd.powi(2));
     let n = inputs.len();
     let mut k = DMatrix::zeros(n, n);

@@ -25,7 +25,11 @@ pub fn latin_hypercube<const D: usize>(n: usize, rng: &mut impl Rng) -> Vec<[f64
 ///
 /// Source: Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26 (1990) 131, by random search
 /// instead of exchange.
-pub fn maximin_latin_hypercube<const D: usize>(n: usize, tries: usize, rng: &mut impl Rng) -> Vec<[f64; D]> {
+pub fn maximin_latin_hypercube<const D: usize>(
+    n: usize,
+    tries: usize,
+    rng: &mut impl Rng,
+) -> Vec<[f64; D]> {
     let mut best = latin_hypercube(n, rng);
     let mut widest = nearest_pair(&best);
     for _ in 1..tries {
@@ -45,7 +49,10 @@ pub fn distance<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {
 
 /// Distance between the two nearest points; infinite with fewer than two.
 fn nearest_pair<const D: usize>(points: &[[f64; D]]) -> f64 {
-    let pairs = points.iter().enumerate().flat_map(|(i, a)| points[..i].iter().map(move |b| distance(a, b)));
+    let pairs = points
+        .iter()
+        .enumerate()
+        .flat_map(|(i, a)| points[..i].iter().map(move |b| distance(a, b)));
     pairs.fold(f64::INFINITY, f64::min)
 }
 
@@ -69,7 +76,8 @@ mod tests {
         for n in [1, 2, 7, 24] {
             let points: Vec<[f64; 9]> = latin_hypercube(n, &mut Pcg64::seed_from_u64(n as u64));
             for k in 0..9 {
-                let mut slices: Vec<usize> = points.iter().map(|p| (p[k] * n as f64) as usize).collect();
+                let mut slices: Vec<usize> =
+                    points.iter().map(|p| (p[k] * n as f64) as usize).collect();
                 slices.sort_unstable();
                 assert_eq!(slices, (0..n).collect::<Vec<_>>());
             }
@@ -80,7 +88,8 @@ mod tests {
     #[test]
     fn the_maximin_design_is_wider_than_the_average_one() {
         let mut rng = Pcg64::seed_from_u64(5);
-        let average = (0..50).map(|_| nearest_pair(&latin_hypercube::<3>(12, &mut rng))).sum::<f64>() / 50.0;
+        let average =
+            (0..50).map(|_| nearest_pair(&latin_hypercube::<3>(12, &mut rng))).sum::<f64>() / 50.0;
         assert!(nearest_pair(&maximin_latin_hypercube::<3>(12, 50, &mut rng)) > 1.3 * average);
     }
 }

@@ -44,7 +44,9 @@ pub fn minimise(
             direction = -gradient.clone();
         }
         direction *= (step_max / direction.amax()).min(1.0);
-        let Some((moved, next)) = backtrack(&mut f, &x, value, &gradient, &direction) else { break };
+        let Some((moved, next)) = backtrack(&mut f, &x, value, &gradient, &direction) else {
+            break;
+        };
         inverse_hessian = updated(inverse_hessian, &moved - &x, &next.1 - &gradient);
         (x, value, gradient) = (moved, next.0, next.1);
     }
@@ -86,13 +88,22 @@ mod tests {
     fn rosenbrock(x: &DVector<f64>) -> Evaluated {
         let (a, b) = (x[0], x[1]);
         let value = (1.0 - a).powi(2) + 100.0 * (b - a * a).powi(2);
-        (value, DVector::from_vec(vec![-2.0 * (1.0 - a) - 400.0 * a * (b - a * a), 200.0 * (b - a * a)]))
+        (
+            value,
+            DVector::from_vec(vec![
+                -2.0 * (1.0 - a) - 400.0 * a * (b - a * a),
+                200.0 * (b - a * a),
+            ]),
+        )
     }
 
     #[test]
     fn the_banana_valley_is_followed_to_its_end() {
         let (x, value) = minimise(rosenbrock, DVector::from_vec(vec![-1.2, 1.0]), 1.0, 200);
-        assert!((x[0] - 1.0).abs() < 1e-4 && (x[1] - 1.0).abs() < 1e-4 && value < 1e-9, "{x} {value}");
+        assert!(
+            (x[0] - 1.0).abs() < 1e-4 && (x[1] - 1.0).abs() < 1e-4 && value < 1e-9,
+            "{x} {value}"
+        );
     }
 
     #[test]

@@ -82,7 +82,11 @@ impl Whitening {
     ///
     /// # Errors
     /// [`MixedModelError`]
-    pub fn new(weights: &[f64], groups: &[Group<'_>], fixed: &DMatrix<f64>) -> Result<Self, MixedModelError> {
+    pub fn new(
+        weights: &[f64],
+        groups: &[Group<'_>],
+        fixed: &DMatrix<f64>,
+    ) -> Result<Self, MixedModelError> {
         Self::with_factor(weights, groups, fixed).map(|(new, _)| new)
     }
 
@@ -96,7 +100,8 @@ impl Whitening {
         fixed: &DMatrix<f64>,
     ) -> Result<(Self, Cholesky<f64, Dyn>), MixedModelError> {
         let n = weights.len();
-        let mut covariance = DMatrix::from_diagonal(&DVector::from_iterator(n, weights.iter().map(|w| w * w)));
+        let mut covariance =
+            DMatrix::from_diagonal(&DVector::from_iterator(n, weights.iter().map(|w| w * w)));
         for group in groups {
             for i in 0..n {
                 for j in 0..n {
@@ -109,13 +114,16 @@ impl Whitening {
         let cholesky = Cholesky::new(covariance).ok_or(MixedModelError::Covariance)?;
         let factor = cholesky.l();
         let log_factor: f64 = factor.diagonal().iter().map(|x| x.ln()).sum();
-        let inverse = factor.solve_lower_triangular(&DMatrix::identity(n, n)).ok_or(MixedModelError::Covariance)?;
+        let inverse = factor
+            .solve_lower_triangular(&DMatrix::identity(n, n))
+            .ok_or(MixedModelError::Covariance)?;
         if fixed.ncols() >= n {
             return Err(MixedModelError::Fixed);
         }
         let split = (&inverse * fixed).qr();
         let diagonal = split.r().diagonal().map(f64::abs);
-        let is_singular = diagonal.iter().any(|&x| x.is_nan() || x <= RANK_TOLERANCE * diagonal.max());
+        let is_singular =
+            diagonal.iter().any(|&x| x.is_nan() || x <= RANK_TOLERANCE * diagonal.max());
         if is_singular {
             return Err(MixedModelError::Fixed);
         }
@@ -136,7 +144,8 @@ impl Whitening {
         let seen = &self.project * features;
         // Relative to the features before the fixed part was removed: if nothing is left, all of it
         // is rounding.
-        let before = features.norm_squared() * self.project.norm_squared() / features.nrows() as f64;
+        let before =
+            features.norm_squared() * self.project.norm_squared() / features.nrows() as f64;
         // Columns explained by the fixed part are not directions, and the decomposition of a matrix
         // with many of them need not converge.
         let is_seen = |k: &usize| seen.column(*k).norm_squared() > RANK_TOLERANCE * before;
@@ -149,7 +158,8 @@ impl Whitening {
         let largest = gram.eigenvalues.max();
         let kept: Vec<usize> = (0..columns.len())
             .filter(|&k| {
-                gram.eigenvalues[k] > RANK_TOLERANCE * largest && gram.eigenvalues[k] > RANK_TOLERANCE * before
+                gram.eigenvalues[k] > RANK_TOLERANCE * largest
+                    && gram.eigenvalues[k] > RANK_TOLERANCE * before
             })
             .collect();
         if kept.is_empty() {
@@ -157,7 +167,10 @@ impl Whitening {
         }
         let of_seen = gram.eigenvectors.select_columns(&kept);
         let mut rotation = DMatrix::zeros(features.ncols(), kept.len());
-        columns.iter().enumerate().for_each(|(row, &column)| rotation.row_mut(column).copy_from(&of_seen.row(row)));
+        columns
+            .iter()
+            .enumerate()
+            .for_each(|(row, &column)| rotation.row_mut(column).copy_from(&of_seen.row(row)));
         Some(Signature {
             directions: self.project.tr_mul(&(seen * of_seen)),
             eigenvalues: gram.eigenvalues.select_rows(&kept),
@@ -190,7 +203,7 @@ impl Whitening {
         amplitude: f64,
         signs: &[(usize, f64)],
     ) -> f64 {
-        let shrink = |eigenvalue: f64| 1.0 / (amplitude.powi(-2) + eigenvalue);
+        let shrink = |eigenvalue: f64| 1.0 / (1.0 / (amplitude * amplitude) + eigenvalue);
         let (mut explained, mut log_volume) = (0.0, 0.0);
         for (k, &eigenvalue) in signature.eigenvalues.iter().enumerate() {
             explained += shrink(eigenvalue) * seen[k] * seen[k];

@@ -55,15 +55,21 @@ pub fn sd_within_cells<'a>(cells: impl IntoIterator<Item = &'a [f64]>) -> Option
 /// narrow, as with every percentile bootstrap.
 ///
 /// Source: Efron, Tibshirani, An Introduction to the Bootstrap (1993), chapter 13.
-pub fn bootstrap_mean_interval(values: &[f64], level: f64, resamples: usize, seed: u64) -> Option<[f64; 2]> {
+pub fn bootstrap_mean_interval(
+    values: &[f64],
+    level: f64,
+    resamples: usize,
+    seed: u64,
+) -> Option<[f64; 2]> {
     if values.is_empty() {
         return None;
     }
     let mut rng = Pcg64::seed_from_u64(seed);
     let n = values.len();
     let draw = |rng: &mut Pcg64| values[rng.random_range(0..n as u64) as usize];
-    let mut means: Vec<f64> =
-        (0..resamples.max(1)).map(|_| (0..n).map(|_| draw(&mut rng)).sum::<f64>() / n as f64).collect();
+    let mut means: Vec<f64> = (0..resamples.max(1))
+        .map(|_| (0..n).map(|_| draw(&mut rng)).sum::<f64>() / n as f64)
+        .collect();
     means.sort_unstable_by(f64::total_cmp);
     Some([(1.0 - level) / 2.0, (1.0 + level) / 2.0].map(|p| quantile_of_sorted(&means, p)))
 }
@@ -112,7 +118,8 @@ mod tests {
         let trials = 400;
         let covered = (0..trials)
             .filter(|&trial| {
-                let sample: Vec<f64> = (0..30).map(|_| normal::quantile(rng.random::<f64>())).collect();
+                let sample: Vec<f64> =
+                    (0..30).map(|_| normal::quantile(rng.random::<f64>())).collect();
                 let [low, high] = bootstrap_mean_interval(&sample, 0.95, 500, trial).unwrap();
                 low <= 0.0 && 0.0 <= high
             })

@@ -104,13 +104,22 @@ struct Course {
 /// the reasons.
 pub(super) fn without(campaign: &Campaign) -> (Campaign, Vec<ColumnLeftOut>) {
     let rows = rows(campaign);
-    let asked: Vec<&Covariate> = campaign.covariates.iter().filter(|it| is_asked(&it.name)).collect();
-    let mut left_out: Vec<ColumnLeftOut> = asked.iter().filter_map(|it| follows(campaign, &rows, it)).collect();
-    let is_out = |left_out: &[ColumnLeftOut], name: &str| left_out.iter().any(|it| it.column == name);
-    let is_named = |it: &&&Covariate| words::is_of_heap(&it.name, campaign.quantity) && !is_out(&left_out, &it.name);
-    let named = asked.iter().filter(is_named).filter_map(|it| Some((it.name.as_str(), numbers(it)?)));
-    let may_be = |values: &[Option<f64>]| Course::of(&rows, values).is_none_or(|it| !it.is_blind_to_powders());
-    let others: Vec<(&str, Vec<Option<f64>>)> = named.filter(|it| may_be(&it.1) && !is_setting(it.0, &it.1)).collect();
+    let asked: Vec<&Covariate> =
+        campaign.covariates.iter().filter(|it| is_asked(&it.name)).collect();
+    let mut left_out: Vec<ColumnLeftOut> =
+        asked.iter().filter_map(|it| follows(campaign, &rows, it)).collect();
+    let is_out =
+        |left_out: &[ColumnLeftOut], name: &str| left_out.iter().any(|it| it.column == name);
+    let is_named = |it: &&&Covariate| {
+        words::is_of_heap(&it.name, campaign.quantity) && !is_out(&left_out, &it.name)
+    };
+    let named =
+        asked.iter().filter(is_named).filter_map(|it| Some((it.name.as_str(), numbers(it)?)));
+    let may_be = |values: &[Option<f64>]| {
+        Course::of(&rows, values).is_none_or(|it| !it.is_blind_to_powders())
+    };
+    let others: Vec<(&str, Vec<Option<f64>>)> =
+        named.filter(|it| may_be(&it.1) && !is_setting(it.0, &it.1)).collect();
     // A column named like a derived one, and not set by hand, is another measurement of the same
     // heap.
     if !left_out.is_empty() || together(&rows, &others) {
@@ -121,7 +130,8 @@ pub(super) fn without(campaign: &Campaign) -> (Campaign, Vec<ColumnLeftOut>) {
         }));
     }
     left_out.sort_by_key(|out| campaign.covariates.iter().position(|it| it.name == out.column));
-    let kept = campaign.covariates.iter().filter(|it| !is_out(&left_out, &it.name)).cloned().collect();
+    let kept =
+        campaign.covariates.iter().filter(|it| !is_out(&left_out, &it.name)).cloned().collect();
     (Campaign { covariates: kept, ..campaign.clone() }, left_out)
 }
 
@@ -137,10 +147,14 @@ fn rows(campaign: &Campaign) -> Vec<Row> {
         let angle = it.repose_deg.unwrap_or(f64::NAN);
         match of_row.last_mut().filter(|(last, _)| campaign.runs[last.run].row == it.row) {
             Some((_, angles)) => angles.push(angle),
-            None => of_row.push((Row { powder: it.powder, session: it.session, angle, run }, vec![angle])),
+            None => of_row
+                .push((Row { powder: it.powder, session: it.session, angle, run }, vec![angle])),
         }
     }
-    of_row.into_iter().map(|(row, angles)| Row { angle: mean(&angles).unwrap_or(row.angle), ..row }).collect()
+    of_row
+        .into_iter()
+        .map(|(row, angles)| Row { angle: mean(&angles).unwrap_or(row.angle), ..row })
+        .collect()
 }
 
 fn numbers(covariate: &Covariate) -> Option<Vec<Option<f64>>> {
@@ -154,18 +168,26 @@ fn numbers(covariate: &Covariate) -> Option<Vec<Option<f64>>> {
 fn follows(campaign: &Campaign, rows: &[Row], covariate: &Covariate) -> Option<ColumnLeftOut> {
     let reason = match &covariate.values {
         Values::Numbers(values) => of_numbers(campaign.quantity, rows, &covariate.name, values),
-        Values::Levels { of, .. } => are_classes(rows, of)
-            .then(|| "follows from the angle: its names are ranges of it, whatever the powder".to_owned()),
+        Values::Levels { of, .. } => are_classes(rows, of).then(|| {
+            "follows from the angle: its names are ranges of it, whatever the powder".to_owned()
+        }),
     };
-    let reason =
-        reason.or_else(|| order::follows(campaign.quantity, rows, campaign.measured().len(), &covariate.values));
+    let reason = reason.or_else(|| {
+        order::follows(campaign.quantity, rows, campaign.measured().len(), &covariate.values)
+    });
     Some(ColumnLeftOut { column: covariate.name.clone(), reason: reason? })
 }
 
-fn of_numbers(quantity: Quantity, rows: &[Row], name: &str, values: &[Option<f64>]) -> Option<String> {
+fn of_numbers(
+    quantity: Quantity,
+    rows: &[Row],
+    name: &str,
+    values: &[Option<f64>],
+) -> Option<String> {
     let course = Course::of(rows, values)?;
     let (share, t) = (course.share(), course.t());
-    let (left, least) = (course.left(), if quantity == Quantity::Repose { REPEATS_TO } else { FLOW_REPEATS_TO });
+    let (left, least) =
+        (course.left(), if quantity == Quantity::Repose { REPEATS_TO } else { FLOW_REPEATS_TO });
     let is_rounded = share >= NEAR_ALL && left < ROUNDING * least;
     if t < NAMED_T || (course.is_blind_to_powders() && !is_rounded) {
         return None;
@@ -181,7 +203,10 @@ fn of_numbers(quantity: Quantity, rows: &[Row], name: &str, values: &[Option<f64
     } else if is_strong && quantity == Quantity::Repose && course.reads_the_angle() {
         Some(format!("{explains}, and reads nearly what the angle is"))
     } else if share >= NEAR_ALL && left < least {
-        Some(format!("{explains}, and leaves {left:.2} {}: no condition makes repeats so alike", quantity.unit()))
+        Some(format!(
+            "{explains}, and leaves {left:.2} {}: no condition makes repeats so alike",
+            quantity.unit()
+        ))
     } else if words::is_of_heap(name, quantity) && !is_setting(name, values) {
         Some(format!("{explains}, and is called after the heap that was measured"))
     } else {
@@ -192,7 +217,8 @@ fn of_numbers(quantity: Quantity, rows: &[Row], name: &str, values: &[Option<f64
 impl Course {
     /// Returns `None` where too few rows have both.
     fn of(rows: &[Row], values: &[Option<f64>]) -> Option<Self> {
-        let known: Vec<(Row, f64)> = rows.iter().filter_map(|&row| Some((row, values[row.run]?))).collect();
+        let known: Vec<(Row, f64)> =
+            rows.iter().filter_map(|&row| Some((row, values[row.run]?))).collect();
         let (rows, values): (Vec<Row>, Vec<f64>) = known.into_iter().unzip();
         if rows.len() < ROWS_MIN {
             return None;
@@ -249,7 +275,9 @@ impl Course {
         let rows: f64 = powders.iter().map(|it| it[0]).sum();
         let middle = |k: usize| powders.iter().map(|it| it[0] * it[k]).sum::<f64>() / rows;
         let (x, y) = (middle(1), middle(2));
-        let sum = |of: fn(f64, f64) -> f64| powders.iter().map(|it| it[0] * of(it[1] - x, it[2] - y)).sum::<f64>();
+        let sum = |of: fn(f64, f64) -> f64| {
+            powders.iter().map(|it| it[0] * of(it[1] - x, it[2] - y)).sum::<f64>()
+        };
         let sums = [sum(|x, _| x * x), sum(|x, y| x * y), sum(|_, y| y * y)];
         (powders.len() > 1 && (sums[2] / rows).sqrt() >= POWDERS_APART * self.sd()).then_some(sums)
     }
@@ -258,7 +286,8 @@ impl Course {
     fn is_of_powders(&self) -> bool {
         let Some([xx, xy, yy]) = self.between().filter(|it| it[0] > 0.0) else { return false };
         let (between, on_a_line) = (xy / yy, xy * xy / (xx * yy));
-        let is_same = (SAME_SLOPE[0]..=SAME_SLOPE[1]).contains(&(between / self.slope())) && on_a_line >= ON_A_LINE;
+        let is_same = (SAME_SLOPE[0]..=SAME_SLOPE[1]).contains(&(between / self.slope()))
+            && on_a_line >= ON_A_LINE;
         is_same && between.abs() >= SLOPE_Z * (self.variance_of_means() / yy).sqrt()
     }
 
@@ -275,8 +304,10 @@ impl Course {
             let (departures, freedom) = departures(&self.rows, &self.values, of);
             departures.iter().map(|it| it[0] * it[0]).sum::<f64>() / freedom.max(1) as f64
         };
-        let (of_powder, of_day) = (variance(|row| (row.powder, 0)), variance(|row| (row.powder, row.session)));
-        let days: BTreeSet<(usize, usize)> = self.rows.iter().map(|row| (row.powder, row.session)).collect();
+        let (of_powder, of_day) =
+            (variance(|row| (row.powder, 0)), variance(|row| (row.powder, row.session)));
+        let days: BTreeSet<(usize, usize)> =
+            self.rows.iter().map(|row| (row.powder, row.session)).collect();
         let on_a_day = self.rows.len() as f64 / days.len() as f64;
         let shared = if of_powder > 0.0 { (1.0 - of_day / of_powder).clamp(0.0, 1.0) } else { 0.0 };
         of_powder * (1.0 + (on_a_day - 1.0) * shared)
@@ -291,7 +322,11 @@ impl Course {
 
 /// Departures of values and angles from the means of their groups, outliers clamped; and the
 /// remaining degrees of freedom.
-fn departures(rows: &[Row], values: &[f64], of: impl Fn(&Row) -> (usize, usize)) -> (Vec<[f64; 2]>, usize) {
+fn departures(
+    rows: &[Row],
+    values: &[f64],
+    of: impl Fn(&Row) -> (usize, usize),
+) -> (Vec<[f64; 2]>, usize) {
     let mut sums: BTreeMap<(usize, usize), [f64; 3]> = BTreeMap::new();
     for (row, value) in rows.iter().zip(values) {
         let [n, x, y] = sums.entry(of(row)).or_default();
@@ -328,7 +363,8 @@ fn together(rows: &[Row], columns: &[(&str, Vec<Option<f64>>)]) -> bool {
     if columns.len() < 2 {
         return false;
     }
-    let has_all = |row: &&Row| columns.iter().all(|(_, of)| of[row.run].is_some_and(|value| value > 0.0));
+    let has_all =
+        |row: &&Row| columns.iter().all(|(_, of)| of[row.run].is_some_and(|value| value > 0.0));
     let rows: Vec<Row> = rows.iter().filter(has_all).copied().collect();
     let of = |column: &[Option<f64>]| -> Vec<f64> {
         rows.iter().map(|row| column[row.run].map_or(0.0, libm::log)).collect()
@@ -340,7 +376,8 @@ fn together(rows: &[Row], columns: &[(&str, Vec<Option<f64>>)]) -> bool {
         true => departures(&rows, values, day),
         false => departures(&rows, values, powder),
     };
-    let all: Vec<(Vec<[f64; 2]>, usize)> = columns.iter().map(|(_, column)| centred(&of(column))).collect();
+    let all: Vec<(Vec<[f64; 2]>, usize)> =
+        columns.iter().map(|(_, column)| centred(&of(column))).collect();
     let (first, freedom) = &all[0];
     if *freedom < FREEDOM_MIN + columns.len() {
         return false;
@@ -358,11 +395,13 @@ fn are_classes(rows: &[Row], of: &[Option<usize>]) -> bool {
     let mut known: Vec<(f64, usize, usize)> =
         rows.iter().filter_map(|row| Some((row.angle, of[row.run]?, row.powder))).collect();
     known.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let count = |which: &dyn Fn(&(f64, usize, usize)) -> bool| known.iter().filter(|it| which(it)).count();
+    let count =
+        |which: &dyn Fn(&(f64, usize, usize)) -> bool| known.iter().filter(|it| which(it)).count();
     let mut pairs: Vec<(usize, usize)> = known.iter().map(|it| (it.1, it.2)).collect();
     pairs.sort_unstable();
     pairs.dedup();
-    let is_often = |&(level, powder): &(usize, usize)| count(&|it| it.1 == level && it.2 == powder) >= 3;
+    let is_often =
+        |&(level, powder): &(usize, usize)| count(&|it| it.1 == level && it.2 == powder) >= 3;
     let often: Vec<(usize, usize)> = pairs.into_iter().filter(is_often).collect();
     let has_two = |k: fn(&(usize, usize)) -> usize| {
         often.iter().any(|one| often.iter().any(|other| one != other && k(one) == k(other)))
@@ -378,7 +417,9 @@ fn are_classes(rows: &[Row], of: &[Option<usize>]) -> bool {
         levels.push((places[places.len() / 2], level));
     }
     levels.sort_unstable();
-    let expected = levels.iter().flat_map(|&(_, level)| std::iter::repeat_n(level, count(&|it| it.1 == level)));
+    let expected = levels
+        .iter()
+        .flat_map(|&(_, level)| std::iter::repeat_n(level, count(&|it| it.1 == level)));
     let misplaced = known.iter().zip(expected).filter(|(it, level)| it.1 != *level).count();
     misplaced as f64 <= MISPLACED * known.len() as f64
 }

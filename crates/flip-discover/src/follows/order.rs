@@ -49,14 +49,20 @@ struct Look {
 
 /// Why a column is a function of the angle's residual from its powder's mean, if it is. `runs` is
 /// the number of runs behind the rows.
-pub(super) fn follows(quantity: Quantity, rows: &[Row], runs: usize, values: &Values) -> Option<String> {
+pub(super) fn follows(
+    quantity: Quantity,
+    rows: &[Row],
+    runs: usize,
+    values: &Values,
+) -> Option<String> {
     let (column, ln_orders) = ordered(rows, values)?;
     if column.iter().flatten().count() < ROWS_MIN {
         return None;
     }
     let of_run = if quantity == Quantity::Repose { REPEATS_TO } else { FLOW_REPEATS_TO };
     let repeats_to = of_run * (rows.len() as f64 / runs.max(rows.len()) as f64).sqrt();
-    let looks: [fn(&[Row], &[Option<f64>], f64) -> Option<Look>; 3] = [of_powders, of_days, of_means];
+    let looks: [fn(&[Row], &[Option<f64>], f64) -> Option<Look>; 3] =
+        [of_powders, of_days, of_means];
     looks.into_iter().find_map(|look| {
         let look = look(rows, &column, repeats_to)?;
         let exceptions = look.exceptions(ln_orders)?;
@@ -70,14 +76,22 @@ pub(super) fn follows(quantity: Quantity, rows: &[Row], runs: usize, values: &Va
 /// The column as numbers, row by row, and the logarithm of the number of possible orders.
 fn ordered(rows: &[Row], values: &Values) -> Option<(Vec<Option<f64>>, f64)> {
     match values {
-        Values::Numbers(values) => Some((rows.iter().map(|row| values[row.run]).collect(), std::f64::consts::LN_2)),
+        Values::Numbers(values) => {
+            Some((rows.iter().map(|row| values[row.run]).collect(), std::f64::consts::LN_2))
+        }
         Values::Levels { names, of } if names.len() <= NAMES_MAX => {
             let left = less_mean(rows, |row| (row.powder, 0));
-            let own = |level: usize| rows.iter().zip(&left).filter(move |(row, _)| of[row.run] == Some(level));
-            let middle = |level| mean(&own(level).map(|(_, left)| *left).collect::<Vec<_>>()).unwrap_or(0.0);
+            let own = |level: usize| {
+                rows.iter().zip(&left).filter(move |(row, _)| of[row.run] == Some(level))
+            };
+            let middle =
+                |level| mean(&own(level).map(|(_, left)| *left).collect::<Vec<_>>()).unwrap_or(0.0);
             let middles: Vec<f64> = (0..names.len()).map(middle).collect();
             let ln_orders = (1..=names.len()).map(|k| libm::log(k as f64)).sum();
-            Some((rows.iter().map(|row| of[row.run].map(|level| middles[level])).collect(), ln_orders))
+            Some((
+                rows.iter().map(|row| of[row.run].map(|level| middles[level])).collect(),
+                ln_orders,
+            ))
         }
         Values::Levels { .. } => None,
     }
@@ -96,7 +110,8 @@ fn less_mean(rows: &[Row], group: impl Fn(&Row) -> (usize, usize)) -> Vec<f64> {
 
 /// Runs of each powder by their angles.
 fn of_powders(rows: &[Row], column: &[Option<f64>], repeats_to: f64) -> Option<Look> {
-    let point = |(row, x): (&Row, &Option<f64>)| Some(Point { group: row.powder, x: (*x)?, y: row.angle });
+    let point =
+        |(row, x): (&Row, &Option<f64>)| Some(Point { group: row.powder, x: (*x)?, y: row.angle });
     let points: Vec<Point> = rows.iter().zip(column).filter_map(point).collect();
     let freedom = points.len();
     Some(Look { points, freedom, repeats_to, of_what: "the angles of every powder" })
@@ -109,7 +124,8 @@ fn of_days(rows: &[Row], column: &[Option<f64>], repeats_to: f64) -> Option<Look
     rows.iter().for_each(|row| *on_day.entry(day(row)).or_default() += 1);
     let left = less_mean(rows, day);
     let known = (0..rows.len()).filter(|&k| on_day[&day(&rows[k])] > 1);
-    let points: Vec<Point> = known.filter_map(|k| Some(Point { group: 0, x: column[k]?, y: left[k] })).collect();
+    let points: Vec<Point> =
+        known.filter_map(|k| Some(Point { group: 0, x: column[k]?, y: left[k] })).collect();
     // Rows determined by the mean of a day are not free.
     let freedom = points.len().saturating_sub(on_day.values().filter(|runs| **runs > 1).count());
     let of_what = "the angles, less the mean of their powder on the day,";
@@ -128,7 +144,8 @@ fn of_means(rows: &[Row], column: &[Option<f64>], repeats_to: f64) -> Option<Loo
         day.0 = day.0.or(*x);
         day.1.push(left);
     }
-    let point = |(x, left): &(Option<f64>, Vec<f64>)| Some(Point { group: 0, x: (*x)?, y: mean(left)? });
+    let point =
+        |(x, left): &(Option<f64>, Vec<f64>)| Some(Point { group: 0, x: (*x)?, y: mean(left)? });
     let points: Vec<Point> = of.values().filter_map(point).collect();
     let freedom = points.len();
     let repeats_to = repeats_to * (of.len() as f64 / rows.len() as f64).sqrt();
@@ -145,13 +162,17 @@ impl Look {
     fn exceptions(&self, ln_orders: f64) -> Option<usize> {
         [1.0, -1.0].into_iter().find_map(|sign| {
             let mut groups: BTreeMap<usize, Vec<Point>> = BTreeMap::new();
-            self.points.iter().for_each(|it| groups.entry(it.group).or_default().push(Point { x: sign * it.x, ..*it }));
+            self.points.iter().for_each(|it| {
+                groups.entry(it.group).or_default().push(Point { x: sign * it.x, ..*it })
+            });
             let kept: Vec<Vec<Point>> = groups.into_values().map(in_order).collect();
             let n = self.points.len();
             let out = n - kept.iter().map(Vec::len).sum::<usize>();
             let scatter = scatter(&kept).max(self.repeats_to);
             let ln_chance = kept.iter().map(|group| ln_chance(group, scatter)).sum::<f64>();
-            let ln_chance = ln_chance * self.freedom as f64 / n as f64 + out as f64 * libm::log(n as f64) + ln_orders;
+            let ln_chance = ln_chance * self.freedom as f64 / n as f64
+                + out as f64 * libm::log(n as f64)
+                + ln_orders;
             (out as f64 <= MISPLACED * n as f64 && ln_chance < libm::log(CHANCE)).then_some(out)
         })
     }
@@ -171,7 +192,8 @@ fn in_order(mut points: Vec<Point>) -> Vec<Point> {
             None => ends.push(k),
         }
     }
-    let mut kept: Vec<Point> = std::iter::successors(ends.last().copied(), |&k| before[k]).map(|k| points[k]).collect();
+    let mut kept: Vec<Point> =
+        std::iter::successors(ends.last().copied(), |&k| before[k]).map(|k| points[k]).collect();
     kept.reverse();
     kept
 }
@@ -194,12 +216,14 @@ fn scatter(groups: &[Vec<Point>]) -> f64 {
 /// Logarithm of the chance that every point of an ordered group stays in its class.
 fn ln_chance(points: &[Point], scatter: f64) -> f64 {
     let classes = classes(points);
-    let middles: Vec<f64> = classes.iter().map(|class| median(class.iter().map(|it| it.y).collect())).collect();
+    let middles: Vec<f64> =
+        classes.iter().map(|class| median(class.iter().map(|it| it.y).collect())).collect();
     let cut = |k: usize| f64::midpoint(middles[k], middles[k + 1]);
     let of_class = |(k, class): (usize, &&[Point])| {
         let middle = middles[k];
         let below = if k == 0 { 0.0 } else { normal::cdf((cut(k - 1) - middle) / scatter) };
-        let above = if k + 1 == classes.len() { 1.0 } else { normal::cdf((cut(k) - middle) / scatter) };
+        let above =
+            if k + 1 == classes.len() { 1.0 } else { normal::cdf((cut(k) - middle) / scatter) };
         class.len() as f64 * libm::log((above - below).max(f64::MIN_POSITIVE))
     };
     classes.iter().enumerate().map(of_class).sum()

@@ -13,11 +13,15 @@ fn angles(laboratory: &Laboratory) -> Vec<f64> {
 /// Mean and SD of the angles of each run's group.
 fn groups(laboratory: &Laboratory, of: impl Fn(&Run) -> (usize, usize)) -> Vec<(f64, f64)> {
     let runs = &laboratory.campaign.runs;
-    let own =
-        |run: &Run| -> Vec<f64> { runs.iter().filter(|it| of(it) == of(run)).filter_map(|it| it.repose_deg).collect() };
+    let own = |run: &Run| -> Vec<f64> {
+        runs.iter().filter(|it| of(it) == of(run)).filter_map(|it| it.repose_deg).collect()
+    };
     let both = |own: &[f64]| {
         let middle = mean(own).unwrap();
-        (middle, (own.iter().map(|it| (it - middle).powi(2)).sum::<f64>() / own.len() as f64).sqrt())
+        (
+            middle,
+            (own.iter().map(|it| (it - middle).powi(2)).sum::<f64>() / own.len() as f64).sqrt(),
+        )
     };
     runs.iter().map(|run| both(&own(run))).collect()
 }
@@ -54,8 +58,10 @@ fn with_functions_of_the_residual(mut laboratory: Laboratory) -> Laboratory {
         run.repose_deg = run.repose_deg.map(|angle| round(angle, 10.0));
     }
     let y = angles(&laboratory);
-    let (powder, day) =
-        (groups(&laboratory, |run| (run.powder, 0)), groups(&laboratory, |run| (run.powder, run.session)));
+    let (powder, day) = (
+        groups(&laboratory, |run| (run.powder, 0)),
+        groups(&laboratory, |run| (run.powder, run.session)),
+    );
     let residuals: Vec<f64> = y.iter().zip(&powder).map(|(y, it)| y - it.0).collect();
     let session: Vec<f64> = laboratory
         .campaign
@@ -77,7 +83,11 @@ fn with_functions_of_the_residual(mut laboratory: Laboratory) -> Laboratory {
     add(&mut laboratory, NAMES[0], nominal);
     add(&mut laboratory, NAMES[1], z);
     add_flag(&mut laboratory, NAMES[2], residuals.iter().map(|it| *it > 0.0));
-    add(&mut laboratory, NAMES[3], residuals.iter().map(|it| f64::from(u8::from(*it > 0.0))).collect());
+    add(
+        &mut laboratory,
+        NAMES[3],
+        residuals.iter().map(|it| f64::from(u8::from(*it > 0.0))).collect(),
+    );
     add(&mut laboratory, NAMES[4], on_day);
     add_flag(&mut laboratory, NAMES[5], (0..y.len()).map(|k| y[k] > day[k].0));
     add(&mut laboratory, NAMES[6], session.iter().map(|it| round(*it, 100.0)).collect());
@@ -89,7 +99,8 @@ fn what_is_computed_of_the_angle_less_its_powders_mean_is_no_condition() {
     for seed in 0..10 {
         for powders in [3, 5] {
             // Three hundred runs: with fewer, a flag may remain a condition.
-            let laboratory = with_functions_of_the_residual(Laboratory::new(seed, powders, 150 / powders, 1.0));
+            let laboratory =
+                with_functions_of_the_residual(Laboratory::new(seed, powders, 150 / powders, 1.0));
             assert_eq!(laboratory.left_out(), NAMES, "{powders} powders, seed {seed}");
         }
     }
@@ -116,19 +127,31 @@ fn conditions_stay_conditions_however_much_they_explain() {
                 each.condition("dial", |it, _| it.normal(), |x| effect * x / 2.0);
                 assert_eq!(each.left_out(), [""; 0], "dial {effect}, {repeat_share}, seed {seed}");
                 let mut two = of();
-                two.condition("lid", |it, _| f64::from(u8::from(it.normal() > 0.0)), |x| effect * x);
+                two.condition(
+                    "lid",
+                    |it, _| f64::from(u8::from(it.normal() > 0.0)),
+                    |x| effect * x,
+                );
                 assert_eq!(two.left_out(), [""; 0], "lid {effect}, {repeat_share}, seed {seed}");
                 // One run of a day with it and one without.
                 let mut pairs = of();
                 pairs.condition("valve", |_, run| f64::from(run.row % 2), |x| effect * x);
-                assert_eq!(pairs.left_out(), [""; 0], "valve {effect}, {repeat_share}, seed {seed}");
+                assert_eq!(
+                    pairs.left_out(),
+                    [""; 0],
+                    "valve {effect}, {repeat_share}, seed {seed}"
+                );
                 let days: Vec<f64> = {
                     let mut it = of();
                     (0..24).map(|_| it.normal()).collect()
                 };
                 let mut daily = of();
                 daily.condition("ward_pressure", |_, run| days[run.session], |x| effect * x / 2.0);
-                assert_eq!(daily.left_out(), [""; 0], "daily {effect}, {repeat_share}, seed {seed}");
+                assert_eq!(
+                    daily.left_out(),
+                    [""; 0],
+                    "daily {effect}, {repeat_share}, seed {seed}"
+                );
             }
         }
     }
@@ -150,7 +173,14 @@ fn a_deviation_from_the_mean_is_named_and_left_out_and_explains_nothing() {
         note: String::new(),
     };
     let (file, columns) = ("measurements".to_owned(), vec![column]);
-    report.read_from(&[FileRead { file, rows: 120, columns, powders: vec![], left_out: vec![], notes: vec![] }]);
+    report.read_from(&[FileRead {
+        file,
+        rows: 120,
+        columns,
+        powders: vec![],
+        left_out: vec![],
+        notes: vec![],
+    }]);
     let note = &report.files[0].columns[0].note;
     assert!(note.starts_with("left out: follows from the angle"), "{note}");
 }

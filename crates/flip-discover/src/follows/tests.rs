@@ -26,7 +26,11 @@ pub(super) struct Laboratory {
 impl Laboratory {
     /// Powders measured twice a day, with nothing but noise.
     pub(super) fn new(seed: u64, powders: usize, days: usize, repeat_share: f64) -> Self {
-        let mut new = Self { rng: Pcg64::seed_from_u64(seed), campaign: Campaign::default(), volume: Vec::new() };
+        let mut new = Self {
+            rng: Pcg64::seed_from_u64(seed),
+            campaign: Campaign::default(),
+            volume: Vec::new(),
+        };
         new.campaign.powders = POWDERS[..powders].iter().map(|it| it.0.to_owned()).collect();
         for session in 0..days {
             let day = 0.5 * new.normal();
@@ -34,7 +38,12 @@ impl Laboratory {
                 let (_, middle, sd) = POWDERS[k / 2];
                 let angle = middle + day + repeat_share * sd * new.normal();
                 let row = new.campaign.runs.len() as u32 + 2;
-                new.campaign.runs.push(Run { row, powder: k / 2, session, repose_deg: Some(angle) });
+                new.campaign.runs.push(Run {
+                    row,
+                    powder: k / 2,
+                    session,
+                    repose_deg: Some(angle),
+                });
                 let volume = (1.0 + 0.02 * new.normal()) * [1.0, 0.8, 0.9, 1.3, 1.1][k / 2];
                 new.volume.push(volume);
             }
@@ -52,15 +61,23 @@ impl Laboratory {
         let angles: Vec<f64> = self.campaign.runs.iter().filter_map(|run| run.repose_deg).collect();
         let read = |(i, angle): (usize, f64)| {
             let value = of(angle.to_radians(), self.volume[i])
-                * (1.0 + error * normal::quantile(self.rng.random::<f64>().clamp(1e-9, 1.0 - 1e-9)));
+                * (1.0
+                    + error * normal::quantile(self.rng.random::<f64>().clamp(1e-9, 1.0 - 1e-9)));
             Some((value / step).round() * step)
         };
         let values = angles.into_iter().enumerate().map(read).collect();
-        self.campaign.covariates.push(Covariate { name: name.to_owned(), values: Values::Numbers(values) });
+        self.campaign
+            .covariates
+            .push(Covariate { name: name.to_owned(), values: Values::Numbers(values) });
     }
 
     /// A condition and its effect on the angle.
-    pub(super) fn condition(&mut self, name: &str, of: impl Fn(&mut Self, &Run) -> f64, effect: impl Fn(f64) -> f64) {
+    pub(super) fn condition(
+        &mut self,
+        name: &str,
+        of: impl Fn(&mut Self, &Run) -> f64,
+        effect: impl Fn(f64) -> f64,
+    ) {
         let runs = self.campaign.runs.clone();
         let values: Vec<f64> = runs.iter().map(|run| of(self, run)).collect();
         for (run, value) in self.campaign.runs.iter_mut().zip(&values) {
@@ -146,7 +163,8 @@ fn columns_of_one_heap_are_left_out_together() {
     for seed in 0..10 {
         let mut laboratory = Laboratory::new(seed, 5, 20, 1.0);
         // Heaps of very different volume: neither height nor base says much alone.
-        (0..laboratory.volume.len()).for_each(|i| laboratory.volume[i] *= (0.35 * laboratory.normal()).exp());
+        (0..laboratory.volume.len())
+            .for_each(|i| laboratory.volume[i] *= (0.35 * laboratory.normal()).exp());
         laboratory.read_off("height_mm", 0.005, 2, free_height);
         laboratory.read_off("diameter_mm", 0.005, 2, |angle, volume| 2.0 * radius(angle, volume));
         let all = MEASURES.map(|it| it.0);
@@ -170,8 +188,12 @@ fn classes_of_the_angle_are_no_conditions_and_operators_are_none() {
     };
     let (classes, by_chance) = (of([31.0, 41.0]), (0..200).map(|k| Some(k * 7 % 3)).collect());
     let names = || ["fair", "good", "poor"].map(str::to_owned).to_vec();
-    let levels = |name: &str, of| Covariate { name: name.to_owned(), values: Values::Levels { names: names(), of } };
-    laboratory.campaign.covariates = vec![levels("flowability", classes), levels("weekday", by_chance)];
+    let levels = |name: &str, of| Covariate {
+        name: name.to_owned(),
+        values: Values::Levels { names: names(), of },
+    };
+    laboratory.campaign.covariates =
+        vec![levels("flowability", classes), levels("weekday", by_chance)];
     assert_eq!(laboratory.left_out(), ["flowability"]);
 }
 
@@ -182,7 +204,11 @@ fn a_strong_cause_stays_a_cause_however_little_is_left() {
             let of = |powders, days| Laboratory::new(seed, powders, days, repeat_share);
             // Ten degrees from humidity, next to which heaps hardly scatter.
             let mut humid = of(5, 20);
-            humid.condition("relative_humidity_pct", |it, _| it.rng.random_range(30.0..70.0), |h| 0.25 * (h - 50.0));
+            humid.condition(
+                "relative_humidity_pct",
+                |it, _| it.rng.random_range(30.0..70.0),
+                |h| 0.25 * (h - 50.0),
+            );
             assert_eq!(humid.left_out(), [""; 0], "humidity, {repeat_share}, seed {seed}");
             // Unknown effects of the day or of the run.
             let mut daily = of(5, 20);
@@ -200,7 +226,11 @@ fn a_strong_cause_stays_a_cause_however_little_is_left() {
             }
             // A length that is set by hand, under a name that a heap's might have.
             let mut set = of(5, 20);
-            set.condition("height_mm", |it, _| f64::from(it.rng.random_range(4..8u32)) * 10.0, |h| -0.15 * h);
+            set.condition(
+                "height_mm",
+                |it, _| f64::from(it.rng.random_range(4..8u32)) * 10.0,
+                |h| -0.15 * h,
+            );
             assert_eq!(set.left_out(), [""; 0], "set, {repeat_share}, seed {seed}");
         }
     }
@@ -227,7 +257,9 @@ fn a_typing_error_and_a_summary_do_not_hide_what_follows() {
 
 pub(super) fn investigated(campaign: &Campaign) -> Report {
     let settings = Settings { seed: 1, simulations: 99 };
-    investigate(Some(campaign), None, "base", &settings, |_| ControlFlow::Continue(())).unwrap().unwrap()
+    investigate(Some(campaign), None, "base", &settings, |_| ControlFlow::Continue(()))
+        .unwrap()
+        .unwrap()
 }
 
 #[test]
@@ -237,11 +269,21 @@ fn a_pile_height_is_named_and_left_out_and_the_rest_is_judged() {
     nothing.read_off("pile_height_mm", 0.01, 2, height);
     let report = investigated(&nothing.campaign);
     assert_eq!(report.verdict, Verdict::NoDiscrepancy, "{}", report.sentence);
-    assert_eq!(report.left_out.iter().map(|it| it.column.as_str()).collect::<Vec<_>>(), ["pile_height_mm"]);
-    assert!(report.sentence.contains("pile height") && !report.evidence.iter().any(|it| it.cause.contains("height")));
+    assert_eq!(
+        report.left_out.iter().map(|it| it.column.as_str()).collect::<Vec<_>>(),
+        ["pile_height_mm"]
+    );
+    assert!(
+        report.sentence.contains("pile height")
+            && !report.evidence.iter().any(|it| it.cause.contains("height"))
+    );
 
     let mut humid = Laboratory::new(3, 3, 20, 1.0);
-    humid.condition("relative_humidity_pct", |it, _| it.rng.random_range(30.0..70.0), |h| 0.15 * (h - 50.0));
+    humid.condition(
+        "relative_humidity_pct",
+        |it, _| it.rng.random_range(30.0..70.0),
+        |h| 0.15 * (h - 50.0),
+    );
     humid.read_off("pile_height_mm", 0.02, 1, height);
     humid.read_off("left_flank_deg", 0.02, 1, |angle, _| angle.to_degrees());
     let report = investigated(&humid.campaign);
@@ -255,9 +297,16 @@ fn a_rate_that_is_computed_from_the_flow_time_is_left_out_of_what_is_said_of_flo
     let times: Vec<f64> = (0..120).map(|_| 5.0 * (0.08 * laboratory.normal()).exp()).collect();
     let rates = times.iter().map(|time| Some((500.0 / time).round() / 10.0)).collect();
     laboratory.campaign.flow_time_s = times.into_iter().map(Some).collect();
-    laboratory.campaign.covariates.push(Covariate { name: "flow_rate_g_s".to_owned(), values: Values::Numbers(rates) });
+    laboratory
+        .campaign
+        .covariates
+        .push(Covariate { name: "flow_rate_g_s".to_owned(), values: Values::Numbers(rates) });
     let report = investigated(&laboratory.campaign);
     assert_eq!(report.left_out.len(), 1, "{:?}", report.left_out);
-    assert!(report.left_out[0].reason.starts_with("follows from the flow time"), "{:?}", report.left_out);
+    assert!(
+        report.left_out[0].reason.starts_with("follows from the flow time"),
+        "{:?}",
+        report.left_out
+    );
     assert_eq!(report.verdict, Verdict::NoDiscrepancy, "{}", report.sentence);
 }

@@ -138,12 +138,22 @@ const UNITS: [&str; 15] =
     ["mm", "cm", "m", "um", "deg", "rad", "mm2", "cm2", "mm3", "cm3", "ml", "g", "mg", "kg", "pct"];
 /// Apparatus that heaps are poured with, onto or in.
 const APPARATUS: [&str; 22] = [
-    "funnel", "nozzle", "orifice", "hole", "hopper", "outlet", "drop", "fall", "spoon", "vial", "plate", "table",
-    "room", "fill", "pour", "grain", "particle", "sieve", "stand", "tilt", "light", "trichter",
+    "funnel", "nozzle", "orifice", "hole", "hopper", "outlet", "drop", "fall", "spoon", "vial",
+    "plate", "table", "room", "fill", "pour", "grain", "particle", "sieve", "stand", "tilt",
+    "light", "trichter",
 ];
 /// Properties of a flow.
-const OF_FLOWS: [&str; 9] =
-    ["flow", "flowrate", "efflux", "discharge", "throughput", "outflow", "duration", "seconds", "auslaufzeit"];
+const OF_FLOWS: [&str; 9] = [
+    "flow",
+    "flowrate",
+    "efflux",
+    "discharge",
+    "throughput",
+    "outflow",
+    "duration",
+    "seconds",
+    "auslaufzeit",
+];
 /// Single-letter names of lengths.
 const LETTERS: [&str; 5] = ["h", "d", "r", "w", "v"];
 
@@ -160,10 +170,10 @@ pub(super) fn is_of_heap(name: &str, quantity: Quantity) -> bool {
     let is_said = |word: &String| {
         let word = word.as_str();
         let is_number = word.chars().all(|c| c.is_ascii_digit());
-        [&OF_HEAPS[..], &MEASURES, &QUALIFIERS, &UNITS].iter().any(|of| of.contains(&word)) || is_number
+        [&OF_HEAPS[..], &MEASURES, &QUALIFIERS, &UNITS].iter().any(|of| of.contains(&word))
+            || is_number
     };
-    let is_letter =
-        matches!(&words[..], [letter, unit] if LETTERS.contains(&letter.as_str()) && UNITS.contains(&unit.as_str()));
+    let is_letter = matches!(&words[..], [letter, unit] if LETTERS.contains(&letter.as_str()) && UNITS.contains(&unit.as_str()));
     has(&OF_HEAPS) || (has(&MEASURES) && words.iter().all(is_said)) || is_letter
 }
 
@@ -230,6 +240,9 @@ mod tests {
         ] {
             assert!(!is_of_heap(name, Quantity::Repose), "{name}");
         }
-        assert!(is_of_heap("flow_rate_g_s", Quantity::FlowTime) && !is_of_heap("pile_height_mm", Quantity::FlowTime));
+        assert!(
+            is_of_heap("flow_rate_g_s", Quantity::FlowTime)
+                && !is_of_heap("pile_height_mm", Quantity::FlowTime)
+        );
     }
 }

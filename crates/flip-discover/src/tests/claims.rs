@@ -22,8 +22,14 @@ enum Hidden {
     Operator,
 }
 
-const KINDS: [Hidden; 6] =
-    [Hidden::Nothing, Hidden::Outliers, Hidden::Small, Hidden::Graded, Hidden::Mixed, Hidden::Operator];
+const KINDS: [Hidden; 6] = [
+    Hidden::Nothing,
+    Hidden::Outliers,
+    Hidden::Small,
+    Hidden::Graded,
+    Hidden::Mixed,
+    Hidden::Operator,
+];
 const NAMES: [&str; 2] = ["talc", "lactose_m200"];
 /// Campaigns of each kind.
 const SEEDS: u64 = 2;
@@ -47,7 +53,8 @@ impl Hidden {
 /// One or two powders, two runs of each on eight to ten days.
 fn campaign(hidden: Hidden, seed: u64) -> Campaign {
     let mut rng = Pcg64::seed_from_u64(derive(hidden as u64, &[seed]));
-    let (powders, days) = (rng.random_range(1..=2u32) as usize, rng.random_range(8..=10u32) as usize);
+    let (powders, days) =
+        (rng.random_range(1..=2u32) as usize, rng.random_range(8..=10u32) as usize);
     let normal = |rng: &mut Pcg64| normal::quantile(rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12));
     let (mut runs, mut humidity, mut operator) = (Vec::new(), Vec::new(), Vec::new());
     for session in 0..days {
@@ -56,10 +63,16 @@ fn campaign(hidden: Hidden, seed: u64) -> Campaign {
             let h: f64 = of_day + rng.random_range(-2.0..2.0);
             let by = rng.random_range(0..2u32) as usize;
             let is_wrong = hidden == Hidden::Outliers && rng.random_bool(0.05);
-            let slip = if is_wrong { rng.random_range(6.0..12.0) * [1.0, -1.0][k % 2] } else { 0.0 };
+            let slip =
+                if is_wrong { rng.random_range(6.0..12.0) * [1.0, -1.0][k % 2] } else { 0.0 };
             let effect = hidden.effect(k / 2, (h - 50.0) / 50.0, by);
             let angle = 28.0 + 3.0 * (k / 2) as f64 + day + 1.2 * normal(&mut rng) + effect + slip;
-            runs.push(Run { row: runs.len() as u32 + 2, powder: k / 2, session, repose_deg: Some(angle) });
+            runs.push(Run {
+                row: runs.len() as u32 + 2,
+                powder: k / 2,
+                session,
+                repose_deg: Some(angle),
+            });
             humidity.push(Some(h));
             operator.push(Some(by));
         }
@@ -68,9 +81,12 @@ fn campaign(hidden: Hidden, seed: u64) -> Campaign {
     let name = if hidden == Hidden::Mixed { "temperature_c" } else { "relative_humidity_pct" };
     let numbers = Covariate { name: name.to_owned(), values: Values::Numbers(humidity) };
     let names = ["Ada", "Ben"].map(str::to_owned).to_vec();
-    let levels = Covariate { name: "operator".to_owned(), values: Values::Levels { names, of: operator } };
+    let levels =
+        Covariate { name: "operator".to_owned(), values: Values::Levels { names, of: operator } };
     let powders = NAMES[..powders].iter().map(|name| (*name).to_owned()).collect();
-    Campaign { powders, runs, covariates: vec![numbers, levels], ..Campaign::default() }.checked().unwrap()
+    Campaign { powders, runs, covariates: vec![numbers, levels], ..Campaign::default() }
+        .checked()
+        .unwrap()
 }
 
 /// The part of a report before its advice on what to do next.
@@ -90,12 +106,15 @@ fn of_angles(report: &Report) -> impl Iterator<Item = &Finding> {
 /// Checks that every named powder has its own effect next to its name, taken from one of the
 /// findings; returns how many are named.
 fn named(report: &Report, case: &str) -> usize {
-    let effects = || of_angles(report).flat_map(|finding| finding.by_powder.iter().map(move |it| (finding, it)));
+    let effects = || {
+        of_angles(report).flat_map(|finding| finding.by_powder.iter().map(move |it| (finding, it)))
+    };
     let names = NAMES.into_iter().filter(|name| headline(report).contains(&name.replace('_', " ")));
     let check = |name: &str| {
         let own = effects().filter(|(_, it)| it.powder == name);
-        let own =
-            own.map(|(finding, it)| format!("{} {}", name.replace('_', " "), sized(it.effect, it.ci95, &finding.unit)));
+        let own = own.map(|(finding, it)| {
+            format!("{} {}", name.replace('_', " "), sized(it.effect, it.ci95, &finding.unit))
+        });
         let own: Vec<String> = own.collect();
         assert!(
             own.iter().any(|own| headline(report).contains(own)),
@@ -117,16 +136,30 @@ fn a_headline_of_nothing_is_no_cause_and_a_named_powder_has_its_own_effect() {
         match report.verdict {
             Verdict::Cause => {
                 causes += 1;
-                assert!(is_accepted && of_angles(&report).count() > 0, "{case}: {}", report.sentence);
+                assert!(
+                    is_accepted && of_angles(&report).count() > 0,
+                    "{case}: {}",
+                    report.sentence
+                );
                 assert!(of_angles(&report).all(is_claimed), "{case}: {}", report.sentence);
-                assert!(!report.sentence.contains("not enough to accept"), "{case}: {}", report.sentence);
+                assert!(
+                    !report.sentence.contains("not enough to accept"),
+                    "{case}: {}",
+                    report.sentence
+                );
             }
             Verdict::Hint => {
-                assert!(report.sentence.starts_with("A hint") && !report.is_worth_a_version(), "{}", report.sentence);
+                assert!(
+                    report.sentence.starts_with("A hint") && !report.is_worth_a_version(),
+                    "{}",
+                    report.sentence
+                );
                 let is_whole = of_angles(&report).count() > 0 && of_angles(&report).all(is_claimed);
                 assert!(!(is_accepted && is_whole), "{case}: {}", report.sentence);
             }
-            Verdict::NoDiscrepancy => assert!(of_angles(&report).count() == 0 && report.gain.is_none(), "{case}"),
+            Verdict::NoDiscrepancy => {
+                assert!(of_angles(&report).count() == 0 && report.gain.is_none(), "{case}")
+            }
             Verdict::Ambiguous | Verdict::Unexplained => {}
         }
         powders += named(&report, &case);

@@ -115,7 +115,8 @@ impl<'a> Bench<'a> {
     /// The bench over the final masses on the balance.
     pub fn new(design: &'a Design) -> Self {
         let levels = design.levels(&design.shown_mg);
-        let known: Vec<f64> = design.plateaus.iter().filter_map(|plateau| plateau.humidity_pct).collect();
+        let known: Vec<f64> =
+            design.plateaus.iter().filter_map(|plateau| plateau.humidity_pct).collect();
         let middle = flip_core::stats::summary::mean(&known).unwrap_or(50.0);
         let mut steps_mg = vec![0.0; levels.len()];
         for log in &design.logs {
@@ -128,7 +129,8 @@ impl<'a> Bench<'a> {
                 };
             }
         }
-        let humidity_pct = design.plateaus.iter().map(|plateau| plateau.humidity_pct.unwrap_or(middle)).collect();
+        let humidity_pct =
+            design.plateaus.iter().map(|plateau| plateau.humidity_pct.unwrap_or(middle)).collect();
         Self { design, steps_mg, humidity_pct }
     }
 
@@ -147,7 +149,8 @@ impl<'a> Bench<'a> {
                                 * memory(effect, t - self.design.plateaus[j].step_s)
                         })
                         .sum();
-                    let course = if let Sensor::Drift { ends_s } = effect { until(t, ends_s) } else { 0.0 };
+                    let course =
+                        if let Sensor::Drift { ends_s } = effect { until(t, ends_s) } else { 0.0 };
                     shown.push(mass + size * (course + memory));
                 }
             }
@@ -163,7 +166,9 @@ impl<'a> Bench<'a> {
             Sensor::Uptake { humidity, .. } if kind == Kind::Dose => {
                 self.steps_mg[j] * humidity.factor(self.humidity_pct[j])
             }
-            Sensor::Static { humidity, .. } if kind == Kind::Dose && (is_step || self.steps_mg[j] > 0.0) => {
+            Sensor::Static { humidity, .. }
+                if kind == Kind::Dose && (is_step || self.steps_mg[j] > 0.0) =>
+            {
                 humidity.factor(self.humidity_pct[j])
             }
             _ => 0.0,
@@ -174,11 +179,17 @@ impl<'a> Bench<'a> {
     /// `nominal`, mg.
     pub fn masses_mg(&self, nominal: &[f64], effect: Spoon, size: f64) -> Vec<f64> {
         let (design, mut poured, mut log) = (self.design, 0.0, usize::MAX);
-        let fills: Vec<f64> =
-            design.plateaus.iter().filter_map(|plateau| plateau.fill_mg).filter(|&mg| mg > 0.0).collect();
+        let fills: Vec<f64> = design
+            .plateaus
+            .iter()
+            .filter_map(|plateau| plateau.fill_mg)
+            .filter(|&mg| mg > 0.0)
+            .collect();
         let typical = flip_core::stats::summary::mean(&fills).unwrap_or(1.0);
-        let amplitudes = || design.plateaus.iter().filter_map(|plateau| plateau.shake_mm).filter(|&mm| mm > 0.0);
-        let (least, most) = (amplitudes().fold(f64::INFINITY, f64::min), amplitudes().fold(0.0, f64::max));
+        let amplitudes =
+            || design.plateaus.iter().filter_map(|plateau| plateau.shake_mm).filter(|&mm| mm > 0.0);
+        let (least, most) =
+            (amplitudes().fold(f64::INFINITY, f64::min), amplitudes().fold(0.0, f64::max));
         let bent = |backlash_mm: f64, mm: f64| libm::log((1.0 - backlash_mm / mm).max(0.05));
         let bend = |backlash_mm: f64| bent(backlash_mm, most) - bent(backlash_mm, least);
         let one = |(shake, &mg): (&super::design::Shake, &f64)| {
@@ -193,7 +204,9 @@ impl<'a> Bench<'a> {
                 Spoon::HoldupShakes { lasts } => -libm::exp(-(shake.number - 1.0).max(0.0) / lasts),
                 Spoon::HoldupMass { lasts_mg } => -libm::exp(-poured / lasts_mg),
                 Spoon::Fill => libm::log(fill / typical),
-                Spoon::Densification { shakes } => -libm::log1p(shake.number / shakes) / libm::log1p(10.0 / shakes),
+                Spoon::Densification { shakes } => {
+                    -libm::log1p(shake.number / shakes) / libm::log1p(10.0 / shakes)
+                }
                 Spoon::DensificationSteady => -shake.number / 10.0,
                 Spoon::Backlash { backlash_mm } => bent(backlash_mm, amplitude) / bend(backlash_mm),
                 Spoon::Saturation => -amplitude / (most - least),

@@ -91,7 +91,9 @@ impl TraceMechanism {
     pub(super) fn level(self) -> Level {
         match self {
             Self::VibrationNoise => Level::Scatter,
-            Self::SpoonHoldup | Self::FillLevel | Self::Densification | Self::Actuator => Level::Shakes,
+            Self::SpoonHoldup | Self::FillLevel | Self::Densification | Self::Actuator => {
+                Level::Shakes
+            }
             _ => Level::Readings,
         }
     }
@@ -135,7 +137,8 @@ impl TraceMechanism {
     /// Why the design cannot tell.
     pub(super) fn effects(self, design: &Design) -> Result<Vec<Shaped>, String> {
         self.recorded(design)?;
-        let sensor = |effect, shape: f64| (Effect::Sensor(effect), shape.is_finite().then_some(shape));
+        let sensor =
+            |effect, shape: f64| (Effect::Sensor(effect), shape.is_finite().then_some(shape));
         let spoon = |effect, shape| (Effect::Spoon(effect), shape);
         let is_humidity_known = varies(design, |plateau| plateau.humidity_pct).is_ok();
         let humid = |known: &[Humidity]| {
@@ -143,51 +146,77 @@ impl TraceMechanism {
             std::iter::once(Humidity::Any).chain(known).collect::<Vec<Humidity>>()
         };
         let both = |humidities: Vec<Humidity>, times: &[f64]| -> Vec<(Humidity, f64)> {
-            humidities.iter().flat_map(|&humidity| times.iter().map(move |&time| (humidity, time))).collect()
+            humidities
+                .iter()
+                .flat_map(|&humidity| times.iter().map(move |&time| (humidity, time)))
+                .collect()
         };
         let uptake = |(humidity, ends_s)| sensor(Sensor::Uptake { humidity, ends_s }, ends_s);
         Ok(match self {
-            Self::BalanceDrift => {
-                [f64::INFINITY, 300.0, 60.0].iter().map(|&ends_s| sensor(Sensor::Drift { ends_s }, ends_s)).collect()
-            }
+            Self::BalanceDrift => [f64::INFINITY, 300.0, 60.0]
+                .iter()
+                .map(|&ends_s| sensor(Sensor::Drift { ends_s }, ends_s))
+                .collect(),
             Self::BalanceLag => {
-                let filters = [0.25, 0.5, 1.0, 2.0, 4.0].map(|tau_s| sensor(Sensor::Lag { tau_s }, tau_s));
-                let averages = [1.0, 3.0].map(|window_s| sensor(Sensor::Average { window_s }, window_s / 2.0));
+                let filters =
+                    [0.25, 0.5, 1.0, 2.0, 4.0].map(|tau_s| sensor(Sensor::Lag { tau_s }, tau_s));
+                let averages =
+                    [1.0, 3.0].map(|window_s| sensor(Sensor::Average { window_s }, window_s / 2.0));
                 [&filters[..], &averages[..]].concat()
             }
             Self::MassUptake => {
                 let humidities = humid(&[Humidity::Humid(1), Humidity::Humid(3), Humidity::Above]);
                 both(humidities, &[f64::INFINITY, 30.0]).into_iter().map(uptake).collect()
             }
-            Self::Evaporation => {
-                both(humid(&[Humidity::Dry]), &[f64::INFINITY, 30.0]).into_iter().map(uptake).collect()
-            }
+            Self::Evaporation => both(humid(&[Humidity::Dry]), &[f64::INFINITY, 30.0])
+                .into_iter()
+                .map(uptake)
+                .collect(),
             Self::BalanceStatic => {
-                let humidities = humid(&[Humidity::Dry, Humidity::Charged(1), Humidity::Charged(2)]);
+                let humidities =
+                    humid(&[Humidity::Dry, Humidity::Charged(1), Humidity::Charged(2)]);
                 let decays = both(humidities, &[0.7, 1.5, 3.0, 6.0, 15.0]).into_iter();
-                decays.map(|(humidity, decay_s)| sensor(Sensor::Static { humidity, decay_s }, decay_s)).collect()
+                decays
+                    .map(|(humidity, decay_s)| {
+                        sensor(Sensor::Static { humidity, decay_s }, decay_s)
+                    })
+                    .collect()
             }
             Self::VibrationNoise => {
-                let mut known: Vec<f64> = design.plateaus.iter().filter_map(|plateau| plateau.vibration).collect();
+                let mut known: Vec<f64> =
+                    design.plateaus.iter().filter_map(|plateau| plateau.vibration).collect();
                 known.sort_by(f64::total_cmp);
-                let at =
-                    |share: f64| known[((known.len() - 1) as f64 * share) as usize].max(1e-6 * known[known.len() - 1]);
-                [at(0.1), at(0.5), 2.0 * at(1.0)].map(|onset| (Effect::Vibration(onset), Some(onset))).to_vec()
+                let at = |share: f64| {
+                    known[((known.len() - 1) as f64 * share) as usize]
+                        .max(1e-6 * known[known.len() - 1])
+                };
+                [at(0.1), at(0.5), 2.0 * at(1.0)]
+                    .map(|onset| (Effect::Vibration(onset), Some(onset)))
+                    .to_vec()
             }
             Self::SpoonHoldup => {
-                let shakes = [0.5, 1.0, 2.0, 4.0].map(|lasts| spoon(Spoon::HoldupShakes { lasts }, Some(lasts)));
-                let masses = [0.7, 2.0].map(|lasts_mg| spoon(Spoon::HoldupMass { lasts_mg }, Some(lasts_mg)));
+                let shakes = [0.5, 1.0, 2.0, 4.0]
+                    .map(|lasts| spoon(Spoon::HoldupShakes { lasts }, Some(lasts)));
+                let masses = [0.7, 2.0]
+                    .map(|lasts_mg| spoon(Spoon::HoldupMass { lasts_mg }, Some(lasts_mg)));
                 [&shakes[..], &masses[..]].concat()
             }
             Self::FillLevel => vec![spoon(Spoon::Fill, None)],
             Self::Densification => {
-                let slowing = [2.0, 8.0, 30.0].map(|shakes| spoon(Spoon::Densification { shakes }, Some(shakes)));
+                let slowing = [2.0, 8.0, 30.0]
+                    .map(|shakes| spoon(Spoon::Densification { shakes }, Some(shakes)));
                 [&slowing[..], &[spoon(Spoon::DensificationSteady, None)]].concat()
             }
             Self::Actuator => {
-                let least = design.plateaus.iter().filter_map(|plateau| plateau.shake_mm).filter(|&mm| mm > 0.0);
+                let least = design
+                    .plateaus
+                    .iter()
+                    .filter_map(|plateau| plateau.shake_mm)
+                    .filter(|&mm| mm > 0.0);
                 let least = least.fold(f64::INFINITY, f64::min);
-                let backlash = |share: f64| spoon(Spoon::Backlash { backlash_mm: share * least }, Some(share * least));
+                let backlash = |share: f64| {
+                    spoon(Spoon::Backlash { backlash_mm: share * least }, Some(share * least))
+                };
                 vec![backlash(0.3), backlash(0.6), backlash(0.9), spoon(Spoon::Saturation, None)]
             }
         })
@@ -205,7 +234,9 @@ impl TraceMechanism {
         let counted = match self.level() == Level::Shakes && !design.shakes.is_empty() {
             // A controller shakes less and less on the way to the target: unrecorded, that looks
             // like every cause of the spoon.
-            true if !design.knows(|plateau| plateau.shake_mm) => Err("shake_mm was not recorded".to_owned()),
+            true if !design.knows(|plateau| plateau.shake_mm) => {
+                Err("shake_mm was not recorded".to_owned())
+            }
             // And a spoon empties, in the simulator too.
             true if !is_fill_known(design) => Err("spoon_fill_mg was not recorded".to_owned()),
             _ => counted,
@@ -228,20 +259,25 @@ impl TraceMechanism {
             Self::BalanceLag if has_step => Ok(()),
             Self::BalanceLag => counted.and(Err("the load never changed".to_owned())),
             Self::MassUptake | Self::Evaporation | Self::BalanceStatic => counted,
-            Self::VibrationNoise => {
-                varies(design, |plateau| plateau.vibration).map_err(|how| format!("vibration_rms_m_s2 {how}"))
-            }
-            Self::FillLevel => counted
-                .and_then(|()| shaken())
-                .and_then(|()| varies(design, |plateau| plateau.fill_mg).map_err(|how| format!("spoon_fill_mg {how}"))),
+            Self::VibrationNoise => varies(design, |plateau| plateau.vibration)
+                .map_err(|how| format!("vibration_rms_m_s2 {how}")),
+            Self::FillLevel => counted.and_then(|()| shaken()).and_then(|()| {
+                varies(design, |plateau| plateau.fill_mg)
+                    .map_err(|how| format!("spoon_fill_mg {how}"))
+            }),
             Self::SpoonHoldup | Self::Densification => counted.and_then(|()| shaken()),
             Self::Actuator => counted.and_then(|()| shaken()).and_then(|()| {
-                varies(design, |plateau| plateau.shake_mm).map_err(|how| format!("shake_mm {how}"))?;
-                let mut all: Vec<f64> = design.plateaus.iter().filter_map(|plateau| plateau.shake_mm).collect();
+                varies(design, |plateau| plateau.shake_mm)
+                    .map_err(|how| format!("shake_mm {how}"))?;
+                let mut all: Vec<f64> =
+                    design.plateaus.iter().filter_map(|plateau| plateau.shake_mm).collect();
                 all.sort_by(f64::total_cmp);
                 all.dedup_by(|a, b| (*a - *b).abs() < 1e-3);
                 match all.len() {
-                    ..3 => Err("shake_mm had but two values, which a powder's own response explains".to_owned()),
+                    ..3 => {
+                        Err("shake_mm had but two values, which a powder's own response explains"
+                            .to_owned())
+                    }
                     _ => Ok(()),
                 }
             }),
@@ -258,13 +294,20 @@ pub(super) enum Differs {
 
 /// Checks that a covariate was recorded in at least half of the plateaus and varies; the error
 /// states why not.
-fn varies(design: &Design, of: impl Fn(&super::design::Plateau) -> Option<f64>) -> Result<(), String> {
+fn varies(
+    design: &Design,
+    of: impl Fn(&super::design::Plateau) -> Option<f64>,
+) -> Result<(), String> {
     let known: Vec<f64> = design.plateaus.iter().filter_map(of).collect();
     let (missing, count) = (design.plateaus.len() - known.len(), design.plateaus.len());
     match known.first() {
         None => Err("was not recorded".to_owned()),
-        Some(_) if 2 * missing > count => Err(format!("is missing after {missing} of {count} shakes")),
-        Some(first) if known.iter().all(|value| value == first) => Err("was the same in all readings".to_owned()),
+        Some(_) if 2 * missing > count => {
+            Err(format!("is missing after {missing} of {count} shakes"))
+        }
+        Some(first) if known.iter().all(|value| value == first) => {
+            Err("was the same in all readings".to_owned())
+        }
         _ => Ok(()),
     }
 }

@@ -96,9 +96,11 @@ impl Design {
             move |name: &String| all.binary_search(name).unwrap_or(0)
         };
         // A dose of unknown powder gets a powder of its own.
-        let own =
-            |weighing: &Weighing| if weighing.kind == Kind::Dose { format!("?{}", weighing.id) } else { String::new() };
-        let powder_of = |weighing: &Weighing| weighing.powder.clone().unwrap_or_else(|| own(weighing));
+        let own = |weighing: &Weighing| {
+            if weighing.kind == Kind::Dose { format!("?{}", weighing.id) } else { String::new() }
+        };
+        let powder_of =
+            |weighing: &Weighing| weighing.powder.clone().unwrap_or_else(|| own(weighing));
         let session_of = |weighing: &Weighing| weighing.session.clone().unwrap_or_default();
         let (powder, session) = (names(&powder_of), names(&session_of));
         let mut new = Self {
@@ -120,7 +122,8 @@ impl Design {
             parts.into_iter().for_each(|part| new.push(weighing, part, first));
             let plateaus = first..new.plateaus.len();
             if !plateaus.is_empty() {
-                let (powder, session) = (powder(&powder_of(weighing)), session(&session_of(weighing)));
+                let (powder, session) =
+                    (powder(&powder_of(weighing)), session(&session_of(weighing)));
                 new.logs.push(Log { kind: weighing.kind, powder, session, plateaus });
             }
         }
@@ -141,8 +144,9 @@ impl Design {
         let apart = (times[times.len() - 1] - times[0]) / (times.len() - 1).max(1) as f64;
         let gap = if plateau > first { times[0] - self.times_s[from - 1] } else { 0.0 };
         let step_s = times[0] - if apart > 0.0 { gap.min(apart) } else { gap / 2.0 };
-        let known =
-            |of: &dyn Fn(&Reading) -> Option<f64>| mean(&readings.iter().copied().filter_map(of).collect::<Vec<_>>());
+        let known = |of: &dyn Fn(&Reading) -> Option<f64>| {
+            mean(&readings.iter().copied().filter_map(of).collect::<Vec<_>>())
+        };
         self.plateaus.push(Plateau {
             log: self.logs.len(),
             readings: from..from + readings.len(),
@@ -158,8 +162,10 @@ impl Design {
         let mut low = 0;
         for k in 1..=rows_max.min(n) {
             let share = (k as f64 / rows_max as f64).powf(1.5);
-            let high = if n <= rows_max { k } else { ((n as f64 * share).round() as usize).max(low + 1) };
-            let t_s = self.times_s[from + low..from + high].iter().sum::<f64>() / (high - low) as f64;
+            let high =
+                if n <= rows_max { k } else { ((n as f64 * share).round() as usize).max(low + 1) };
+            let t_s =
+                self.times_s[from + low..from + high].iter().sum::<f64>() / (high - low) as f64;
             self.rows.push(Row { plateau, readings: from + low..from + high, t_s });
             low = high;
         }
@@ -170,7 +176,8 @@ impl Design {
     fn find_shakes(&self) -> Vec<Shake> {
         let doses: Vec<&Log> = self.logs.iter().filter(|log| log.kind == Kind::Dose).collect();
         let levels = self.levels(&self.shown_mg);
-        let (noise, typical) = (self.readability_mg.max(4.0 * self.reading_sd()), typical_step(&doses, &levels));
+        let (noise, typical) =
+            (self.readability_mg.max(4.0 * self.reading_sd()), typical_step(&doses, &levels));
         let tared = |log: &&&Log| levels[log.plateaus.start].abs() <= noise.max(0.05 * typical);
         let starts = doses.iter().filter(tared).count() as f64 >= TARED_SHARE * doses.len() as f64;
         let mut shakes = Vec::new();
@@ -180,7 +187,12 @@ impl Design {
             // A pan whose first reading exceeded a few shakes was not tared.
             let is_tared = levels[log.plateaus.start].abs() <= 5.0 * typical + noise;
             if !is_before && first.shake == Some(1) && is_tared {
-                shakes.push(Shake { log: first.log, before: None, after: log.plateaus.start, number: 1.0 });
+                shakes.push(Shake {
+                    log: first.log,
+                    before: None,
+                    after: log.plateaus.start,
+                    number: 1.0,
+                });
             }
             let offset = if starts { first.shake.unwrap_or(0) } else { 0 };
             for after in log.plateaus.clone().skip(1) {
@@ -198,26 +210,30 @@ impl Design {
 
     /// Whether `of` returns a value for at least half of the plateaus that end a shake.
     pub fn knows(&self, of: impl Fn(&Plateau) -> Option<f64>) -> bool {
-        let known = self.shakes.iter().filter(|shake| of(&self.plateaus[shake.after]).is_some()).count();
+        let known =
+            self.shakes.iter().filter(|shake| of(&self.plateaus[shake.after]).is_some()).count();
         known > 0 && 2 * known >= self.shakes.len()
     }
 
     /// Number of powders and of sessions.
     pub fn counts(&self) -> (usize, usize) {
-        let most = |of: &dyn Fn(&Log) -> usize| self.logs.iter().map(of).max().map_or(0, |last| last + 1);
+        let most =
+            |of: &dyn Fn(&Log) -> usize| self.logs.iter().map(of).max().map_or(0, |last| last + 1);
         (most(&|log| log.powder), most(&|log| log.session))
     }
 
     /// Mean of each row, mg.
     pub fn averaged(&self, shown: &[f64]) -> Vec<f64> {
-        let of = |row: &Row| shown[row.readings.clone()].iter().sum::<f64>() / row.readings.len() as f64;
+        let of =
+            |row: &Row| shown[row.readings.clone()].iter().sum::<f64>() / row.readings.len() as f64;
         self.rows.iter().map(of).collect()
     }
 
     /// Final level of each plateau: the mean of the later half of its readings, mg.
     pub fn levels(&self, shown: &[f64]) -> Vec<f64> {
         let of = |plateau: &Plateau| {
-            let late = &shown[plateau.readings.start + plateau.readings.len() / 2..plateau.readings.end];
+            let late =
+                &shown[plateau.readings.start + plateau.readings.len() / 2..plateau.readings.end];
             late.iter().sum::<f64>() / late.len() as f64
         };
         self.plateaus.iter().map(of).collect()
@@ -226,7 +242,10 @@ impl Design {
     /// Mass of each shake, mg.
     pub fn masses(&self, shown: &[f64]) -> Vec<f64> {
         let levels = self.levels(shown);
-        self.shakes.iter().map(|shake| levels[shake.after] - shake.before.map_or(0.0, |k| levels[k])).collect()
+        self.shakes
+            .iter()
+            .map(|shake| levels[shake.after] - shake.before.map_or(0.0, |k| levels[k]))
+            .collect()
     }
 
     /// Variance of a reading within each plateau from differences of neighbours, which slow changes
@@ -245,7 +264,8 @@ impl Design {
     pub fn reading_sd(&self) -> f64 {
         let (mut squares, mut count) = (0.0, 0);
         for plateau in &self.plateaus {
-            let late = &self.shown_mg[plateau.readings.start + plateau.readings.len() / 2..plateau.readings.end];
+            let late = &self.shown_mg
+                [plateau.readings.start + plateau.readings.len() / 2..plateau.readings.end];
             squares += late.windows(2).map(|pair| 0.5 * (pair[1] - pair[0]).powi(2)).sum::<f64>();
             count += late.len() - 1;
         }
@@ -254,7 +274,9 @@ impl Design {
 }
 
 fn typical_step(doses: &[&Log], levels: &[f64]) -> f64 {
-    let steps = doses.iter().flat_map(|log| levels[log.plateaus.clone()].windows(2).map(|pair| pair[1] - pair[0]));
+    let steps = doses
+        .iter()
+        .flat_map(|log| levels[log.plateaus.clone()].windows(2).map(|pair| pair[1] - pair[0]));
     let mut all: Vec<f64> = steps.map(f64::abs).collect();
     all.sort_by(f64::total_cmp);
     all.get(all.len() / 2).copied().unwrap_or(0.0)
@@ -266,12 +288,15 @@ fn parts(weighing: &Weighing, readability_mg: f64) -> Option<Vec<Range<usize>>> 
     let readings = &weighing.readings;
     let is_counted = readings.iter().all(|reading| reading.shake_index.is_some());
     let is_split: Vec<bool> = match (is_counted, weighing.kind) {
-        (true, Kind::Dose) => readings.windows(2).map(|pair| pair[0].shake_index != pair[1].shake_index).collect(),
+        (true, Kind::Dose) => {
+            readings.windows(2).map(|pair| pair[0].shake_index != pair[1].shake_index).collect()
+        }
         (false, Kind::Dose) => return None,
         (_, Kind::Zero) => vec![false; readings.len()],
         (_, Kind::Standard) => steps(readings, readability_mg),
     };
-    let mut ends: Vec<usize> = is_split.iter().enumerate().filter(|(_, split)| **split).map(|(k, _)| k + 1).collect();
+    let mut ends: Vec<usize> =
+        is_split.iter().enumerate().filter(|(_, split)| **split).map(|(k, _)| k + 1).collect();
     ends.extend((!readings.is_empty()).then_some(readings.len()));
     let starts = std::iter::once(0).chain(ends.iter().copied());
     let parts = starts.zip(&ends).map(|(low, &high)| low..high).collect();
@@ -294,13 +319,16 @@ fn steps(readings: &[Reading], readability_mg: f64) -> Vec<bool> {
         if k < settled_from {
             continue;
         }
-        let mut before = shown[settled_from.max(k.saturating_sub(SETTLED_READINGS - 1))..=k].to_vec();
+        let mut before =
+            shown[settled_from.max(k.saturating_sub(SETTLED_READINGS - 1))..=k].to_vec();
         before.sort_by(f64::total_cmp);
         let [now, next] = [shown[k + 1], shown[k + 2]].map(|mg| mg - before[before.len() / 2]);
         if now.abs() > least / 3.0 && next.abs() > least / 2.0 && now * next > 0.0 {
             is_split[k] = true;
             let is_still = |from: &usize| {
-                moves[*from..(*from + SETTLED_READINGS).min(moves.len())].iter().all(|&by| by <= least / 3.0)
+                moves[*from..(*from + SETTLED_READINGS).min(moves.len())]
+                    .iter()
+                    .all(|&by| by <= least / 3.0)
             };
             settled_from = (k + 1..moves.len()).find(is_still).unwrap_or(moves.len());
         }
@@ -311,11 +339,15 @@ fn steps(readings: &[Reading], readability_mg: f64) -> Vec<bool> {
 /// The coarsest step of a display that all readings are multiples of, mg; 0 if none is.
 fn readability(traces: &Traces) -> f64 {
     let keeps = |step: f64| {
-        let mut shown =
-            traces.weighings.iter().flat_map(|weighing| &weighing.readings).map(|reading| reading.balance_mg / step);
+        let mut shown = traces
+            .weighings
+            .iter()
+            .flat_map(|weighing| &weighing.readings)
+            .map(|reading| reading.balance_mg / step);
         // Files are written in decimal: the remainder is rounding.
         shown.all(|steps| (steps - steps.round()).abs() < 1e-6 * steps.abs().max(1.0))
     };
-    let steps = (-4..=2).rev().flat_map(|decade| [5.0, 2.0, 1.0].map(|digit| digit * 10f64.powi(decade)));
+    let steps =
+        (-4..=2).rev().flat_map(|decade| [5.0, 2.0, 1.0].map(|digit| digit * 10f64.powi(decade)));
     steps.into_iter().find(|&step| keeps(step)).unwrap_or(0.0)
 }

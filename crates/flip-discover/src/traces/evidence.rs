@@ -78,7 +78,8 @@ impl Whitening {
         for (b, block) in blocks.iter().enumerate() {
             let factor = Cholesky::new(covariance(b))?.unpack();
             log_root += factor.diagonal().iter().map(|x| x.ln()).sum::<f64>();
-            let inverse = factor.solve_lower_triangular(&DMatrix::identity(block.len(), block.len()))?;
+            let inverse =
+                factor.solve_lower_triangular(&DMatrix::identity(block.len(), block.len()))?;
             let basis = basis(&inverse * own(b));
             log_root += basis.log_volume;
             columns += basis.vectors.ncols();
@@ -90,7 +91,13 @@ impl Whitening {
         let freedom = n.checked_sub(columns).filter(|&left| left > 2)? as f64;
         let log_base = -log_root - basis.log_volume;
         let is_sound = log_base.is_finite();
-        is_sound.then(|| Self { blocks: blocks.to_vec(), own: operators, all: basis.vectors, log_base, freedom })
+        is_sound.then(|| Self {
+            blocks: blocks.to_vec(),
+            own: operators,
+            all: basis.vectors,
+            log_base,
+            freedom,
+        })
     }
 
     /// P m, `[n, columns]`.
@@ -113,13 +120,17 @@ impl Whitening {
     /// each block is of one group.
     pub fn course(&self, course: &[f64], group: &[usize], seen: &DMatrix<f64>) -> Course {
         let count = group.iter().max().map_or(0, |last| last + 1);
-        let mut new = Course { gram: DMatrix::zeros(count, count), seen: DMatrix::zeros(count, seen.ncols()) };
+        let mut new = Course {
+            gram: DMatrix::zeros(count, count),
+            seen: DMatrix::zeros(count, seen.ncols()),
+        };
         let mut along = DMatrix::zeros(count, self.all.ncols());
         for (block, own) in self.blocks.iter().zip(&self.own) {
             let through = own * DVectorView::from_slice(&course[block.clone()], block.len());
             let of = group[block.start];
             new.gram[(of, of)] += through.norm_squared();
-            let rows = |m: &DMatrix<f64>| m.rows(block.start, block.len()).tr_mul(&through).transpose();
+            let rows =
+                |m: &DMatrix<f64>| m.rows(block.start, block.len()).tr_mul(&through).transpose();
             new.seen.row_mut(of).add_assign(&rows(seen));
             along.row_mut(of).add_assign(&rows(&self.all));
         }
@@ -130,10 +141,17 @@ impl Whitening {
     /// Evidence of noise and signature for observation `k`; with a `sign` the first coefficient has
     /// it, as in [`mixed_model`](flip_core::stats::mixed_model::Whitening::log_evidence), with the
     /// normal distribution in place of Student's t with so many degrees of freedom.
-    pub fn fit(&self, signature: &Signature, k: usize, squares: f64, amplitude: f64, sign: Option<f64>) -> Fit {
+    pub fn fit(
+        &self,
+        signature: &Signature,
+        k: usize,
+        squares: f64,
+        amplitude: f64,
+        sign: Option<f64>,
+    ) -> Fit {
         let (mut explained, mut log_volume, mut first, mut variance) = (0.0, 0.0, 0.0, 0.0);
         for (j, &eigenvalue) in signature.eigenvalues.iter().enumerate() {
-            let (shrunk, seen) = (1.0 / (amplitude.powi(-2) + eigenvalue), signature.seen[(j, k)]);
+            let (shrunk, seen) = (1.0 / (1.0 / (amplitude * amplitude) + eigenvalue), signature.seen[(j, k)]);
             explained += shrunk * seen * seen;
             log_volume += (amplitude * amplitude * eigenvalue).ln_1p();
             first += signature.first[j] * shrunk * seen;
@@ -142,7 +160,8 @@ impl Whitening {
         let left = (squares - explained).max(f64::MIN_POSITIVE);
         let first_sd = (variance * left / self.freedom).sqrt();
         let log_evidence = self.log_base - 0.5 * log_volume - self.freedom / 2.0 * left.ln();
-        let log_sign = sign.map_or(0.0, |sign| (2.0 * normal::cdf(sign * first / first_sd)).max(1e-300).ln());
+        let log_sign =
+            sign.map_or(0.0, |sign| (2.0 * normal::cdf(sign * first / first_sd)).max(1e-300).ln());
         Fit { log_evidence: log_evidence + log_sign, first, first_sd, left }
     }
 }
@@ -159,21 +178,31 @@ impl Course {
         });
         let gram = SymmetricEigen::new(columns.tr_mul(&self.gram) * &columns);
         let largest = gram.eigenvalues.max();
-        let kept: Vec<usize> =
-            (0..columns.ncols()).filter(|&k| gram.eigenvalues[k] > RANK_TOLERANCE * largest.max(1e-12)).collect();
+        let kept: Vec<usize> = (0..columns.ncols())
+            .filter(|&k| gram.eigenvalues[k] > RANK_TOLERANCE * largest.max(1e-12))
+            .collect();
         if kept.is_empty() {
             return None;
         }
         let rotation = gram.eigenvectors.select_columns(&kept);
         let seen = (columns * &rotation).tr_mul(&self.seen);
-        Some(Signature { eigenvalues: gram.eigenvalues.select_rows(&kept), seen, first: rotation.row(0).transpose() })
+        Some(Signature {
+            eigenvalues: gram.eigenvalues.select_rows(&kept),
+            seen,
+            first: rotation.row(0).transpose(),
+        })
     }
 }
 
 fn apply(blocks: &[Range<usize>], operators: &[DMatrix<f64>], m: &DMatrix<f64>) -> DMatrix<f64> {
     let mut out = DMatrix::zeros(m.nrows(), m.ncols());
     for (block, operator) in blocks.iter().zip(operators) {
-        out.rows_mut(block.start, block.len()).gemm(1.0, operator, &m.rows(block.start, block.len()), 0.0);
+        out.rows_mut(block.start, block.len()).gemm(
+            1.0,
+            operator,
+            &m.rows(block.start, block.len()),
+            0.0,
+        );
     }
     out
 }
@@ -204,6 +233,10 @@ fn basis(columns: DMatrix<f64>) -> Basis {
             kept.push(vector / norm);
         }
     }
-    let vectors = if kept.is_empty() { DMatrix::zeros(columns.nrows(), 0) } else { DMatrix::from_columns(&kept) };
+    let vectors = if kept.is_empty() {
+        DMatrix::zeros(columns.nrows(), 0)
+    } else {
+        DMatrix::from_columns(&kept)
+    };
     Basis { vectors, log_volume }
 }

@@ -92,7 +92,12 @@ impl Form {
         let column = DMatrix::from_column_slice(raw.len(), 1, raw);
         let size = (plain.apply(&column).norm_squared() / plain.freedom).sqrt();
         let is_seen = size > 1e-9 * column.norm();
-        is_seen.then(|| Self { course: raw.iter().map(|x| x / size).collect(), scale: 1.0 / size, shape, span })
+        is_seen.then(|| Self {
+            course: raw.iter().map(|x| x / size).collect(),
+            scale: 1.0 / size,
+            shape,
+            span,
+        })
     }
 }
 
@@ -122,7 +127,8 @@ pub(super) fn judge(
     observations: &DMatrix<f64>,
     white: Option<f64>,
 ) -> Verdict {
-    let seen: Vec<Seen> = noises.par_iter().map(|noise| see(noise, hypotheses, observations)).collect();
+    let seen: Vec<Seen> =
+        noises.par_iter().map(|noise| see(noise, hypotheses, observations)).collect();
     let over = |is_wander: bool, of: &dyn Fn(&Seen) -> f64| {
         let kept = noises.iter().zip(&seen).filter(|(noise, _)| noise.is_wander == is_wander);
         log_mean_exp(&kept.map(|(_, seen)| of(seen)).collect::<Vec<f64>>())
@@ -131,7 +137,10 @@ pub(super) fn judge(
     let null: Vec<f64> = (0..count).map(|k| over(false, &|seen| seen.null[k])).collect();
     let wander = (0..count).map(|k| over(true, &|seen| seen.null[k]) - null[k]).collect();
     let cause = |h: usize| {
-        let of = |k: usize| log_mean_exp(&[false, true].map(|which| over(which, &|seen| seen.causes[h][k]))) - null[k];
+        let of = |k: usize| {
+            log_mean_exp(&[false, true].map(|which| over(which, &|seen| seen.causes[h][k])))
+                - null[k]
+        };
         (hypotheses[h].mechanism, (0..count).map(of).collect())
     };
     let best = seen.iter().zip(noises).filter(|(_, noise)| !noise.is_wander);
@@ -145,7 +154,8 @@ fn see(noise: &Noise, hypotheses: &[Hypothesis], observations: &DMatrix<f64>) ->
     let floor = noise.floor;
     let noise = &noise.model;
     let through = noise.apply(observations);
-    let squares: Vec<f64> = through.column_iter().map(|column| column.norm_squared() + floor).collect();
+    let squares: Vec<f64> =
+        through.column_iter().map(|column| column.norm_squared() + floor).collect();
     let null: Vec<f64> = squares.iter().map(|&squares| noise.log_null(squares)).collect();
     let (mut causes, mut sizes) = (Vec::new(), Vec::new());
     for hypothesis in hypotheses {
@@ -165,7 +175,10 @@ fn see(noise: &Noise, hypotheses: &[Hypothesis], observations: &DMatrix<f64>) ->
                         let fit = noise.fit(signature, k, squares[k], amplitude, sign);
                         logs.push(fit.log_evidence);
                         if k == 0 {
-                            of_sizes.push((fit, Sized { scale: form.scale, shape: form.shape, span: form.span }));
+                            of_sizes.push((
+                                fit,
+                                Sized { scale: form.scale, shape: form.shape, span: form.span },
+                            ));
                         }
                     }
                 }
@@ -178,7 +191,8 @@ fn see(noise: &Noise, hypotheses: &[Hypothesis], observations: &DMatrix<f64>) ->
 }
 
 fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Estimate {
-    let counts = [false, true].map(|which| noises.iter().filter(|noise| noise.is_wander == which).count().max(1));
+    let counts = [false, true]
+        .map(|which| noises.iter().filter(|noise| noise.is_wander == which).count().max(1));
     let mut new = Estimate::default();
     // With the most probable plain noise: its log weight, the part of the squares that the cause
     // explains, and the part beyond noise.
@@ -194,20 +208,29 @@ fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Es
             if !noise.is_wander && log_weight > plain.0 {
                 let more = white.map_or(f64::INFINITY, |white| seen.squares - white * seen.freedom);
                 plain = (log_weight, seen.squares - fit.left, more);
-                new.left = if seen.squares > 0.0 { (fit.left / seen.squares).clamp(0.0, 1.0) } else { 1.0 };
+                new.left = if seen.squares > 0.0 {
+                    (fit.left / seen.squares).clamp(0.0, 1.0)
+                } else {
+                    1.0
+                };
             }
         }
     }
-    let null: Vec<f64> = noises.iter().zip(seen).filter(|it| !it.0.is_wander).map(|it| it.1.null[0]).collect();
+    let null: Vec<f64> =
+        noises.iter().zip(seen).filter(|it| !it.0.is_wander).map(|it| it.1.null[0]).collect();
     let of = |which: bool| {
-        let kept: Vec<f64> =
-            (0..is_plain.len()).filter(|&k| is_plain[k] == which).map(|k| new.parts[k].weight).collect();
+        let kept: Vec<f64> = (0..is_plain.len())
+            .filter(|&k| is_plain[k] == which)
+            .map(|k| new.parts[k].weight)
+            .collect();
         let sizes = kept.len() as f64 / counts[usize::from(!which)] as f64;
         log_mean_exp(&kept) + (kept.len() as f64).ln() - sizes.ln()
     };
     let (alone, both) = (of(true), log_mean_exp(&[of(true), of(false)]));
     let alone_probability = (alone - 2f64.ln() - both).exp().min(1.0);
-    let gain = ((alone - log_mean_exp(&null)) / (both - log_mean_exp(&null)).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    let gain = ((alone - log_mean_exp(&null))
+        / (both - log_mean_exp(&null)).max(f64::MIN_POSITIVE))
+    .clamp(0.0, 1.0);
     let squares = if plain.2 > 0.0 { (plain.1 / plain.2).min(1.0) } else { 0.0 };
     new.explained = alone_probability + (1.0 - alone_probability) * gain.max(squares);
     let best = new.parts.iter().map(|part| part.weight).fold(f64::NEG_INFINITY, f64::max);
@@ -243,8 +266,11 @@ impl Estimate {
     /// Weighted median of the shape and the limits that leave out 2.5 % on each side, each widened
     /// by half a grid step; `None` if no probable form has one.
     pub fn shape(&self) -> Option<[f64; 3]> {
-        let mut all: Vec<(f64, f64)> =
-            self.parts.iter().filter_map(|part| part.shape.map(|shape| (shape, part.weight))).collect();
+        let mut all: Vec<(f64, f64)> = self
+            .parts
+            .iter()
+            .filter_map(|part| part.shape.map(|shape| (shape, part.weight)))
+            .collect();
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
         let total: f64 = all.iter().map(|(_, weight)| weight).sum();
         let of_all: f64 = self.parts.iter().map(|part| part.weight).sum();
@@ -260,8 +286,10 @@ impl Estimate {
             found.map_or(f64::NAN, |(shape, _)| *shape)
         };
         let (low, middle, high) = (at(0.025), at(0.5), at(0.975));
-        let below = all.iter().rev().find(|(shape, _)| *shape < low).map_or(low / 2.0, |(shape, _)| *shape);
-        let above = all.iter().find(|(shape, _)| *shape > high).map_or(high * 2.0, |(shape, _)| *shape);
+        let below =
+            all.iter().rev().find(|(shape, _)| *shape < low).map_or(low / 2.0, |(shape, _)| *shape);
+        let above =
+            all.iter().find(|(shape, _)| *shape > high).map_or(high * 2.0, |(shape, _)| *shape);
         Some([middle, (low * below).sqrt(), (high * above).sqrt()])
     }
 }

@@ -41,5 +41,6 @@ pub use catalogue::TraceMechanism;
 pub use readings::{Kind, Reading, Traces, Weighing};
 pub use report::WANDER;
 pub use screen::{
-    Effect as TraceEffect, Parameter, Settings, TraceCause, TraceJudged, TraceScreening, Unjudged, screen_traces,
+    Effect as TraceEffect, Parameter, Settings, TraceCause, TraceJudged, TraceScreening, Unjudged,
+    screen_traces,
 };

@@ -42,7 +42,8 @@ const NOMINAL_LAG_S: f64 = 0.16;
 /// Fewest rows of a plateau that can spare one for it.
 const NOMINAL_ROWS_MIN: usize = 4;
 /// Kinds of wander: the time, s, and whether it is smooth.
-const WANDERS: [(f64, bool); 5] = [(1.0, false), (5.0, false), (30.0, false), (2.0, true), (8.0, true)];
+const WANDERS: [(f64, bool); 5] =
+    [(1.0, false), (5.0, false), (30.0, false), (2.0, true), (8.0, true)];
 /// Variance of a wander over that of a reading.
 const WANDER_RATIOS: [f64; 4] = [0.1, 1.0, 10.0, 100.0];
 /// Scatter of the log of a shake's mass.
@@ -81,19 +82,23 @@ pub(super) fn of_readings(design: &Design) -> Vec<Noise> {
         let plateaus = rows[block.end - 1].plateau - first + 1;
         DMatrix::from_fn(block.len(), 2 * plateaus, |i, k| {
             let (row, plateau) = (&rows[block.start + i], first + k % plateaus);
-            let is_settled = k < plateaus || plateau == first || of_plateau[plateau] < NOMINAL_ROWS_MIN;
+            let is_settled =
+                k < plateaus || plateau == first || of_plateau[plateau] < NOMINAL_ROWS_MIN;
             match (row.plateau == plateau, k < plateaus) {
                 (true, true) => 1.0,
                 (true, false) if !is_settled => {
                     let from = design.times_s[design.plateaus[plateau].readings.start];
                     let behind = |t: &f64| (-(t - from) / NOMINAL_LAG_S).exp();
-                    design.times_s[row.readings.clone()].iter().map(behind).sum::<f64>() / row.readings.len() as f64
+                    design.times_s[row.readings.clone()].iter().map(behind).sum::<f64>()
+                        / row.readings.len() as f64
                 }
                 _ => 0.0,
             }
         })
     };
-    let length = |i: usize| design.times_s[rows[i].readings.end - 1] - design.times_s[rows[i].readings.start];
+    let length = |i: usize| {
+        design.times_s[rows[i].readings.end - 1] - design.times_s[rows[i].readings.start]
+    };
     // The part of a correlated noise that remains in its mean over a row.
     let left = |i: usize, scale_s: f64| {
         let x = length(i) / scale_s;
@@ -119,14 +124,20 @@ pub(super) fn of_readings(design: &Design) -> Vec<Noise> {
     // A display hides anything smaller than its steps, so a load that shows no noise is known no
     // better than one step.
     let steps = design.readability_mg.powi(2) / 12.0;
-    let finish = |model: Whitening, is_wander: bool| Noise { floor: steps * model.trace(white), model, is_wander };
+    let finish = |model: Whitening, is_wander: bool| Noise {
+        floor: steps * model.trace(white),
+        model,
+        is_wander,
+    };
     let plain = FILTERED
         .iter()
         .filter_map(|&(ratio, filter_s)| noise(filter_s, false, ratio))
         .map(|model| finish(model, false));
+    let wanders = WANDERS.iter().flat_map(|&(scale_s, is_smooth)| {
+        WANDER_RATIOS.map(move |ratio| (scale_s, is_smooth, ratio))
+    });
     let wanders =
-        WANDERS.iter().flat_map(|&(scale_s, is_smooth)| WANDER_RATIOS.map(move |ratio| (scale_s, is_smooth, ratio)));
-    let wanders = wanders.filter_map(|(scale_s, is_smooth, ratio)| noise(scale_s, is_smooth, ratio));
+        wanders.filter_map(|(scale_s, is_smooth, ratio)| noise(scale_s, is_smooth, ratio));
     plain.chain(wanders.map(|model| finish(model, true))).collect()
 }
 
@@ -169,7 +180,9 @@ pub(super) fn of_shakes(design: &Design, masses: &Masses) -> Vec<ShakeNoise> {
     let is_pitch_known = design.knows(|plateau| plateau.pitch_deg);
     let shakes = &design.shakes;
     let blocks = runs(shakes.iter().map(|shake| shake.log));
-    let fixed = DMatrix::from_fn(shakes.len(), masses.fixed.ncols(), |i, k| masses.log_slope(i) * masses.fixed[(i, k)]);
+    let fixed = DMatrix::from_fn(shakes.len(), masses.fixed.ncols(), |i, k| {
+        masses.log_slope(i) * masses.fixed[(i, k)]
+    });
     let levels = |i: usize, j: usize| {
         let both = |i: usize| [(shakes[i].before, -1.0), (Some(shakes[i].after), 1.0)];
         let shared = |a: (Option<usize>, f64)| {
@@ -184,7 +197,10 @@ pub(super) fn of_shakes(design: &Design, masses: &Masses) -> Vec<ShakeNoise> {
                 let own = if i == j { 1.0 } else { 0.0 };
                 let common = own + weighing + step * (i.min(j) + 1) as f64;
                 let (i, j) = (start + i, start + j);
-                let shown = (masses.level_sd_mg / scatter).powi(2) * masses.slope(i) * masses.slope(j) * levels(i, j);
+                let shown = (masses.level_sd_mg / scatter).powi(2)
+                    * masses.slope(i)
+                    * masses.slope(j)
+                    * levels(i, j);
                 // A small addition to the diagonal: masses that are all noise have no slope.
                 masses.log_slope(i) * masses.log_slope(j) * common + shown + 1e-3 * own
             })
@@ -196,7 +212,11 @@ pub(super) fn of_shakes(design: &Design, masses: &Masses) -> Vec<ShakeNoise> {
         for weighing in WEIGHING_RATIOS {
             for step in STEP_RATIOS {
                 let is_wander = step > 0.0 && is_pitch_known;
-                let of = |model| ShakeNoise { noise: Noise { model, is_wander, floor: 0.0 }, weighing, step };
+                let of = |model| ShakeNoise {
+                    noise: Noise { model, is_wander, floor: 0.0 },
+                    weighing,
+                    step,
+                };
                 noises.extend(noise(scatter, weighing, step).map(of));
             }
         }
@@ -215,5 +235,9 @@ pub(super) fn of_scatter(log: &[usize], fixed: &DMatrix<f64>) -> Vec<Noise> {
         Whitening::new(&blocks, covariance, |b| DMatrix::zeros(blocks[b].len(), 0), fixed)
     };
     let ratios = [0.0, 0.1, 0.4, 1.5];
-    ratios.into_iter().filter_map(noise).map(|model| Noise { model, is_wander: false, floor: 0.0 }).collect()
+    ratios
+        .into_iter()
+        .filter_map(noise)
+        .map(|model| Noise { model, is_wander: false, floor: 0.0 })
+        .collect()
 }

@@ -84,14 +84,22 @@ impl Traces {
     pub fn checked(self) -> Result<Self, FieldError> {
         let count: usize = self.weighings.iter().map(|weighing| weighing.readings.len()).sum();
         if count < READINGS_MIN {
-            let message = format!("{count} readings say nothing: at least {READINGS_MIN} are needed");
+            let message =
+                format!("{count} readings say nothing: at least {READINGS_MIN} are needed");
             return Err(FieldError::new("traces", message));
         }
         self.weighings.iter().try_for_each(Weighing::check)?;
-        let mut shown = self.weighings.iter().flat_map(|weighing| &weighing.readings).map(|reading| reading.balance_mg);
+        let mut shown = self
+            .weighings
+            .iter()
+            .flat_map(|weighing| &weighing.readings)
+            .map(|reading| reading.balance_mg);
         let first = shown.next();
         if shown.all(|mg| Some(mg) == first) {
-            return Err(FieldError::new("balance_mg", "is the same in all readings: nothing was weighed"));
+            return Err(FieldError::new(
+                "balance_mg",
+                "is the same in all readings: nothing was weighed",
+            ));
         }
         Ok(self)
     }
@@ -111,7 +119,8 @@ impl Weighing {
                 ("vibration_rms_m_s2", reading.vibration_rms_m_s2, 0.0, 1e4, "m/s^2"),
             ];
             for (name, value, lower, upper, unit) in optional {
-                value.map_or(Ok(0.0), |value| bounded(&field(name, k), value, lower, upper, unit))?;
+                value
+                    .map_or(Ok(0.0), |value| bounded(&field(name, k), value, lower, upper, unit))?;
             }
         }
         for (k, pair) in self.readings.windows(2).enumerate() {

@@ -3,8 +3,8 @@
 use super::super::claim::{self, Proposal, is_told};
 use super::super::investigate::{CERTAIN, CLAIM, SIGNIFICANCE, WORTH_TELLING};
 use super::super::report::{
-    CauseReport, Channel, Evidence, Finding, FormClass, NullCheck, ParameterReport, TraceChannel, Unexplained,
-    UntestableReport, Verdict,
+    CauseReport, Channel, Evidence, Finding, FormClass, NullCheck, ParameterReport, TraceChannel,
+    Unexplained, UntestableReport, Verdict,
 };
 use super::words;
 use super::{Kind, Parameter, TraceCause, TraceJudged, TraceMechanism, TraceScreening, Traces};
@@ -31,15 +31,21 @@ pub(in super::super) struct TraceReport {
 }
 
 /// The result of a screening; `corrected` is its p-value, given what else is judged.
-pub(in super::super) fn report(traces: &Traces, screening: &TraceScreening, corrected: f64) -> TraceReport {
+pub(in super::super) fn report(
+    traces: &Traces,
+    screening: &TraceScreening,
+    corrected: f64,
+) -> TraceReport {
     let (proposal, told) = judge(screening, corrected);
-    let has_effect = told.first().and_then(|it| it.effect.as_ref()).is_some_and(|it| is_told(it.ci95, it.unit));
+    let has_effect =
+        told.first().and_then(|it| it.effect.as_ref()).is_some_and(|it| is_told(it.ci95, it.unit));
     let verdict = claim::verdict(proposal, has_effect, true);
     let is_control = |kind: Kind| kind != Kind::Dose;
     let controls = traces.weighings.iter().filter(|weighing| is_control(weighing.kind)).count();
     let known = |judged: &&TraceJudged| matches!(judged.mechanism, TraceCause::Known(_));
     let findings: Vec<Finding> = told.iter().filter_map(|judged| finding(judged)).collect();
-    let experiment = words::experiment(&told.iter().map(|judged| judged.mechanism).collect::<Vec<_>>(), verdict);
+    let experiment =
+        words::experiment(&told.iter().map(|judged| judged.mechanism).collect::<Vec<_>>(), verdict);
     let channel = TraceChannel {
         verdict,
         p_value: screening.p_value,
@@ -54,9 +60,16 @@ pub(in super::super) fn report(traces: &Traces, screening: &TraceScreening, corr
     TraceReport {
         sentence: words::sentence(&told, &channel),
         blind_spots: words::blind_spots(traces, screening),
-        causes: screening.judged.iter().filter(known).map(|judged| cause(judged, told.contains(&judged))).collect(),
+        causes: screening
+            .judged
+            .iter()
+            .filter(known)
+            .map(|judged| cause(judged, told.contains(&judged)))
+            .collect(),
         ambiguous_between: match verdict {
-            Verdict::Ambiguous => told.iter().map(|judged| name(judged.mechanism).to_owned()).collect(),
+            Verdict::Ambiguous => {
+                told.iter().map(|judged| name(judged.mechanism).to_owned()).collect()
+            }
             _ => Vec::new(),
         },
         unexplained: (verdict == Verdict::Unexplained).then(|| Unexplained {
@@ -85,7 +98,10 @@ fn judge(screening: &TraceScreening, corrected: f64) -> (Proposal, Vec<&TraceJud
     let Some(top) = judged.first().filter(|_| corrected <= SIGNIFICANCE) else {
         return (Proposal::Nothing, Vec::new());
     };
-    let wander = judged.iter().find(|it| it.mechanism == TraceCause::Unknown).map_or(0.0, |it| it.log_evidence);
+    let wander = judged
+        .iter()
+        .find(|it| it.mechanism == TraceCause::Unknown)
+        .map_or(0.0, |it| it.log_evidence);
     let over = |it: &TraceJudged| it.log_evidence - wander.max(0.0);
     let is_close = |it: &&TraceJudged| {
         let is_behind = over(it) <= (1.0 - LEAD_MIN) * over(top) && it.probability <= 1.0 - CERTAIN;
@@ -93,10 +109,15 @@ fn judge(screening: &TraceScreening, corrected: f64) -> (Proposal, Vec<&TraceJud
     };
     let look_alike = judged[1..].iter().find(is_close);
     if top.probability >= CLAIM && look_alike.is_none() {
-        let proposal = if top.mechanism == TraceCause::Unknown { Proposal::Unexplained } else { Proposal::Cause };
+        let proposal = if top.mechanism == TraceCause::Unknown {
+            Proposal::Unexplained
+        } else {
+            Proposal::Cause
+        };
         return (proposal, vec![top]);
     }
-    let mut told: Vec<&TraceJudged> = judged.iter().take_while(|it| it.probability >= WORTH_TELLING).collect();
+    let mut told: Vec<&TraceJudged> =
+        judged.iter().take_while(|it| it.probability >= WORTH_TELLING).collect();
     if told.len() < 2 {
         told = vec![top];
         told.extend(look_alike.or(judged.get(1)));
@@ -138,11 +159,13 @@ fn cause(judged: &TraceJudged, is_told: bool) -> CauseReport {
         ci95: effect.ci95,
         unit: effect.unit.to_owned(),
     });
-    let own = judged.parameters.iter().map(|&Parameter { name, value, low95, high95, unit }| ParameterReport {
-        name: name.to_owned(),
-        value,
-        ci95: [low95, high95],
-        unit: unit.to_owned(),
+    let own = judged.parameters.iter().map(|&Parameter { name, value, low95, high95, unit }| {
+        ParameterReport {
+            name: name.to_owned(),
+            value,
+            ci95: [low95, high95],
+            unit: unit.to_owned(),
+        }
     });
     CauseReport {
         mechanism: mechanism.to_owned(),

@@ -172,7 +172,8 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
     let masses = shakes::response(&design);
     let plan = Plan { design: &design, bench: &bench, masses: masses.as_ref(), known };
     let reading_noises = noise::of_readings(&design);
-    let shake_noises = plan.masses.map(|masses| noise::of_shakes(&design, masses)).unwrap_or_default();
+    let shake_noises =
+        plan.masses.map(|masses| noise::of_shakes(&design, masses)).unwrap_or_default();
     let measured = plan.seen(&design.shown_mg);
     let scatter = plan.scatter(&reading_noises, &shake_noises, &measured);
     let simulated: Vec<Seen> = (1..=u64::from(settings.simulations))
@@ -180,7 +181,8 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
         .map(|k| plan.seen(&simulate::readings(&design, plan.masses, &scatter, settings.seed, k)))
         .collect();
     let all: Vec<&Seen> = std::iter::once(&measured).chain(&simulated).collect();
-    let shake_scatter = plan.masses.map(|_| shakes::scatter(&measured.0[Level::Shakes as usize], &shake_noises));
+    let shake_scatter =
+        plan.masses.map(|_| shakes::scatter(&measured.0[Level::Shakes as usize], &shake_noises));
     let shake_noises: Vec<Noise> = shake_noises.into_iter().map(|it| it.noise).collect();
     let mut levels = [
         plan.judge(Level::Readings, &reading_noises, &all),
@@ -198,13 +200,21 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
         return Err(FieldError::new("traces", message));
     }
     for (mechanism, _) in &plan.known {
-        if !levels.iter().flatten().any(|level| level.causes.iter().any(|(judged, _)| judged == mechanism)) {
+        if !levels
+            .iter()
+            .flatten()
+            .any(|level| level.causes.iter().any(|(judged, _)| judged == mechanism))
+        {
             let why = unjudged.as_ref().filter(|_| mechanism.level() == Level::Shakes);
-            untestable
-                .push((*mechanism, why.map_or("has no range in which it could act", |it| it.why.as_str()).to_owned()));
+            untestable.push((
+                *mechanism,
+                why.map_or("has no range in which it could act", |it| it.why.as_str()).to_owned(),
+            ));
         }
     }
-    untestable.sort_by_key(|(mechanism, _)| TraceMechanism::ALL.iter().position(|known| known == mechanism));
+    untestable.sort_by_key(|(mechanism, _)| {
+        TraceMechanism::ALL.iter().position(|known| known == mechanism)
+    });
     let concluded = plan.conclude(&levels, untestable, all.len());
     let is_judged = levels.iter().any(Option::is_some);
     Ok(match is_judged {
@@ -212,7 +222,14 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
         // With nothing to judge there is no evidence, not even for a wander.
         false => {
             let null = vec![0.0; concluded.null.len()];
-            TraceScreening { unjudged, p_value: 1.0, judged: Vec::new(), statistic: 0.0, null, ..concluded }
+            TraceScreening {
+                unjudged,
+                p_value: 1.0,
+                judged: Vec::new(),
+                statistic: 0.0,
+                null,
+                ..concluded
+            }
         }
     })
 }
@@ -232,15 +249,18 @@ impl Plan<'_> {
     fn scatter_noises(&self) -> Vec<Noise> {
         let plateaus = self.scattered();
         let logs: Vec<usize> = plateaus.iter().map(|&k| self.design.plateaus[k].log).collect();
-        let is_dose: Vec<bool> = logs.iter().map(|&log| self.design.logs[log].kind == Kind::Dose).collect();
-        let fixed = DMatrix::from_fn(logs.len(), 2, |i, k| f64::from(u8::from(is_dose[i] == (k == 0))));
+        let is_dose: Vec<bool> =
+            logs.iter().map(|&log| self.design.logs[log].kind == Kind::Dose).collect();
+        let fixed =
+            DMatrix::from_fn(logs.len(), 2, |i, k| f64::from(u8::from(is_dose[i] == (k == 0))));
         if logs.is_empty() { Vec::new() } else { noise::of_scatter(&logs, &fixed) }
     }
 
     /// Plateaus whose scatter and vibration are known.
     fn scattered(&self) -> Vec<usize> {
         let plateaus = &self.design.plateaus;
-        let has_both = |k: &usize| plateaus[*k].vibration.is_some() && plateaus[*k].readings.len() >= 3;
+        let has_both =
+            |k: &usize| plateaus[*k].vibration.is_some() && plateaus[*k].readings.len() >= 3;
         (0..plateaus.len()).filter(has_both).collect()
     }
 
@@ -258,14 +278,18 @@ impl Plan<'_> {
                 let plain = shakes.iter().filter(|it| !it.noise.is_wander);
                 let odds = plain.map(|ShakeNoise { noise, weighing, step, .. }| {
                     let squares = noise.model.apply(&mass).norm_squared();
-                    (noise.model.log_null(squares), [(squares / noise.model.freedom).sqrt(), *weighing, *step])
+                    (
+                        noise.model.log_null(squares),
+                        [(squares / noise.model.freedom).sqrt(), *weighing, *step],
+                    )
                 });
                 let odds: Vec<_> = odds.collect();
                 let most = odds.iter().map(|odds| odds.0).fold(f64::NEG_INFINITY, f64::max);
                 odds.into_iter().map(|(log, of)| ((log - most).exp(), of)).collect()
             }
         };
-        let reading_mg = simulate::noise_behind(self.design.reading_sd(), self.design.readability_mg);
+        let reading_mg =
+            simulate::noise_behind(self.design.reading_sd(), self.design.readability_mg);
         Scatter { reading_mg, filtered, shakes }
     }
 
@@ -275,15 +299,22 @@ impl Plan<'_> {
         let floor = (design.readability_mg.powi(2) / 50.0).max(0.1 * design.reading_sd().powi(2));
         let scatter = design.scatter(shown);
         let log_scatter = |k: usize| (scatter[k].unwrap_or(0.0) + floor).ln();
-        let masses = self.masses.map(|masses| masses.seen(&design.masses(shown))).unwrap_or_default();
-        Seen([design.averaged(shown), masses, self.scattered().into_iter().map(log_scatter).collect()])
+        let masses =
+            self.masses.map(|masses| masses.seen(&design.masses(shown))).unwrap_or_default();
+        Seen([
+            design.averaged(shown),
+            masses,
+            self.scattered().into_iter().map(log_scatter).collect(),
+        ])
     }
 
     /// The weighing of each row of a level.
     fn logs(&self, level: Level) -> Vec<usize> {
         let design = self.design;
         match level {
-            Level::Readings => design.rows.iter().map(|row| design.plateaus[row.plateau].log).collect(),
+            Level::Readings => {
+                design.rows.iter().map(|row| design.plateaus[row.plateau].log).collect()
+            }
             Level::Shakes => design.shakes.iter().map(|shake| shake.log).collect(),
             Level::Scatter => self.scattered().iter().map(|&k| design.plateaus[k].log).collect(),
         }
@@ -303,14 +334,19 @@ impl Plan<'_> {
                 over(run(SMALL), run(0.0))
             }
             (Effect::Spoon(effect), Some(masses)) => {
-                let run = |size: f64| masses.seen(&self.bench.masses_mg(&masses.nominal_mg, effect, size));
+                let run = |size: f64| {
+                    masses.seen(&self.bench.masses_mg(&masses.nominal_mg, effect, size))
+                };
                 over(run(SMALL), run(0.0))
             }
             (Effect::Spoon(_), None) => Vec::new(),
             (Effect::Vibration(onset), _) => {
                 let rise = |v: f64| (v / onset).powi(2).ln_1p();
-                let known: Vec<f64> =
-                    self.scattered().into_iter().filter_map(|k| self.design.plateaus[k].vibration).collect();
+                let known: Vec<f64> = self
+                    .scattered()
+                    .into_iter()
+                    .filter_map(|k| self.design.plateaus[k].vibration)
+                    .collect();
                 let mut sorted = known.clone();
                 sorted.sort_by(f64::total_cmp);
                 let at = |share: f64| sorted[((sorted.len() - 1) as f64 * share).round() as usize];
@@ -323,7 +359,8 @@ impl Plan<'_> {
     fn judge(&self, level: Level, noises: &[Noise], all: &[&Seen]) -> Option<Verdict> {
         let plain = &noises.first()?.model;
         let logs = self.logs(level);
-        let observations = DMatrix::from_fn(logs.len(), all.len(), |i, k| all[k].0[level as usize][i]);
+        let observations =
+            DMatrix::from_fn(logs.len(), all.len(), |i, k| all[k].0[level as usize][i]);
         let (powders, sessions) = self.design.counts();
         let of_mechanism = |mechanism: TraceMechanism, effects: &[Shaped]| {
             let (which, count) = match mechanism.differs_between() {
@@ -350,11 +387,17 @@ impl Plan<'_> {
             };
             let forms = effects.iter().filter_map(form);
             let differ = if count > 1 { DIFFERENCES.map(Some).to_vec() } else { vec![None] };
-            Hypothesis { mechanism, forms: forms.collect(), group: logs.iter().map(group_of).collect(), differ }
+            Hypothesis {
+                mechanism,
+                forms: forms.collect(),
+                group: logs.iter().map(group_of).collect(),
+                differ,
+            }
         };
         let here = self.known.iter().filter(|(mechanism, _)| mechanism.level() == level);
         let hypotheses = here.map(|(mechanism, effects)| of_mechanism(*mechanism, effects));
-        let hypotheses: Vec<Hypothesis> = hypotheses.filter(|hypothesis| !hypothesis.forms.is_empty()).collect();
+        let hypotheses: Vec<Hypothesis> =
+            hypotheses.filter(|hypothesis| !hypothesis.forms.is_empty()).collect();
         let white = self.design.reading_sd().powi(2) + self.design.readability_mg.powi(2) / 12.0;
         let white = (level == Level::Readings).then_some(white);
         Some(judge(noises, &hypotheses, &observations, white))
@@ -366,9 +409,11 @@ impl Plan<'_> {
         untestable: Vec<(TraceMechanism, String)>,
         count: usize,
     ) -> TraceScreening {
-        let prior = |mechanism| if mechanism == TraceMechanism::Actuator { PRIORS[1].ln() } else { 0.0 };
+        let prior =
+            |mechanism| if mechanism == TraceMechanism::Actuator { PRIORS[1].ln() } else { 0.0 };
         let wander = |k: usize| {
-            let of_levels: Vec<f64> = levels[..2].iter().flatten().map(|level| level.wander[k]).collect();
+            let of_levels: Vec<f64> =
+                levels[..2].iter().flatten().map(|level| level.wander[k]).collect();
             log_mean_exp(&of_levels) + PRIORS[0].ln()
         };
         let causes: Vec<(TraceMechanism, &Vec<f64>, &Estimate)> = levels
@@ -377,13 +422,18 @@ impl Plan<'_> {
             .flat_map(|level| level.causes.iter().zip(&level.estimates))
             .map(|((mechanism, logs), estimate)| (*mechanism, logs, estimate))
             .collect();
-        let largest = |k: usize| causes.iter().map(|(it, logs, _)| logs[k] + prior(*it)).fold(wander(k), f64::max);
+        let largest = |k: usize| {
+            causes.iter().map(|(it, logs, _)| logs[k] + prior(*it)).fold(wander(k), f64::max)
+        };
         let here = largest(0);
         let mut null: Vec<f64> = (1..count).map(largest).collect();
         null.sort_by(f64::total_cmp);
         let as_large = null.iter().filter(|&&it| it >= here).count();
-        let logs: Vec<f64> =
-            causes.iter().map(|(it, logs, _)| logs[0] + prior(*it)).chain(std::iter::once(wander(0))).collect();
+        let logs: Vec<f64> = causes
+            .iter()
+            .map(|(it, logs, _)| logs[0] + prior(*it))
+            .chain(std::iter::once(wander(0)))
+            .collect();
         let total = log_mean_exp(&logs) + (logs.len() as f64).ln();
         let mut judged: Vec<TraceJudged> = causes
             .iter()
@@ -395,7 +445,8 @@ impl Plan<'_> {
                 effect: self.effect(*mechanism, estimate),
             })
             .collect();
-        let best = (0..judged.len()).max_by(|&a, &b| judged[a].probability.total_cmp(&judged[b].probability));
+        let best = (0..judged.len())
+            .max_by(|&a, &b| judged[a].probability.total_cmp(&judged[b].probability));
         let white = best.is_none_or(|best| causes[best].2.explained >= EXPLAINED_MIN);
         let mut unknown = (wander(0) - total).exp();
         for (judged, (_, _, estimate)) in judged.iter_mut().zip(&causes) {
@@ -413,7 +464,16 @@ impl Plan<'_> {
         judged.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         let p_value = (1 + as_large) as f64 / count as f64;
         let looked_at = [self.design.times_s.len() as u32, self.design.shakes.len() as u32];
-        TraceScreening { p_value, judged, untestable, white, statistic: here, null, looked_at, unjudged: None }
+        TraceScreening {
+            p_value,
+            judged,
+            untestable,
+            white,
+            statistic: here,
+            null,
+            looked_at,
+            unjudged: None,
+        }
     }
 
     /// How large a cause is over the covariate it goes with.
@@ -422,7 +482,13 @@ impl Plan<'_> {
         let [value, low, high] = estimate.effect().map(|effect| mechanism.in_unit(effect));
         let ends = along.ends()?;
         let span = mechanism.between(along.covariate, ends);
-        Some(Effect { covariate: along.covariate, value, ci95: [low, high], unit: mechanism.unit(), span })
+        Some(Effect {
+            covariate: along.covariate,
+            value,
+            ci95: [low, high],
+            unit: mechanism.unit(),
+            span,
+        })
     }
 }
 
@@ -433,12 +499,8 @@ fn column(seen: &Seen, level: Level) -> DMatrix<f64> {
 
 fn parameters(mechanism: TraceMechanism, estimate: &Estimate) -> Vec<Parameter> {
     let [size, shape] = mechanism.numbers();
-    let of = |(name, unit): (&'static str, &'static str), [value, low95, high95]: [f64; 3]| Parameter {
-        name,
-        value,
-        low95,
-        high95,
-        unit,
+    let of = |(name, unit): (&'static str, &'static str), [value, low95, high95]: [f64; 3]| {
+        Parameter { name, value, low95, high95, unit }
     };
     let shape = estimate.shape().map(|numbers| of(shape, numbers));
     std::iter::once(of(size, estimate.size())).chain(shape).collect()

@@ -48,7 +48,8 @@ pub(super) fn response(design: &Design) -> Option<Masses> {
         return None;
     }
     let late = |k: usize| design.plateaus[k].readings.len().div_ceil(2) as f64;
-    let counts: f64 = design.shakes.iter().map(|shake| late(shake.after)).sum::<f64>() / masses.len() as f64;
+    let counts: f64 =
+        design.shakes.iter().map(|shake| late(shake.after)).sum::<f64>() / masses.len() as f64;
     // If loads do not move between readings, averaging does not help against a display's steps.
     let shown = design.readability_mg.powi(2) / 12.0;
     let level_sd_mg = (shown + design.reading_sd().powi(2) / counts).sqrt();
@@ -88,7 +89,11 @@ pub(super) fn unlike(design: &Design, scatter: f64, judged: &Verdict) -> Option<
     let scatter = scatter * left.sqrt();
     let wander = judged.wander[0];
     let is_caused = || {
-        judged.causes.iter().zip(&judged.estimates).any(|(it, of)| it.1[0] > wander && of.explained >= EXPLAINED_MIN)
+        judged
+            .causes
+            .iter()
+            .zip(&judged.estimates)
+            .any(|(it, of)| it.1[0] > wander && of.explained >= EXPLAINED_MIN)
     };
     let how = if scatter > SCATTERS[SCATTERS.len() - 1] {
         format!("scatter by a factor of {:.1}", scatter.exp())
@@ -108,7 +113,10 @@ pub(super) fn is_rare(logs: &[f64]) -> bool {
 
 fn unjudged(design: &Design, why: &str) -> Unjudged {
     let doses = (SETS * design.logs.iter().filter(|log| log.kind == Kind::Dose).count()) as u32;
-    Unjudged { why: format!("{why}; what a simulated spoon would let fall takes {doses} simulated doses"), doses }
+    Unjudged {
+        why: format!("{why}; what a simulated spoon would let fall takes {doses} simulated doses"),
+        doses,
+    }
 }
 
 /// Most probable scatter of log mass under plain noise.
@@ -121,7 +129,8 @@ pub(super) fn scatter(seen: &[f64], noises: &[ShakeNoise]) -> f64 {
     let all: Vec<(f64, f64)> = noises.iter().filter(|it| !it.noise.is_wander).map(of).collect();
     let best = all.iter().map(|it| it.0).fold(f64::NEG_INFINITY, f64::max);
     let weight = |log: f64| libm::exp(log - best);
-    all.iter().map(|&(log, sd)| weight(log) * sd).sum::<f64>() / all.iter().map(|it| weight(it.0)).sum::<f64>()
+    all.iter().map(|&(log, sd)| weight(log) * sd).sum::<f64>()
+        / all.iter().map(|it| weight(it.0)).sum::<f64>()
 }
 
 /// Columns of the response in log mass, `[shakes, p]`, each covariate with mean 0 and SD 1.
@@ -137,7 +146,8 @@ fn columns(design: &Design) -> DMatrix<f64> {
     let plateau = |k: usize| &design.plateaus[k];
     let amplitude = standard(&|k| plateau(k).shake_mm.filter(|&mm| mm > 0.0).map(f64::ln));
     let pitch = standard(&|k| plateau(k).pitch_deg);
-    let powder: Vec<usize> = design.shakes.iter().map(|shake| design.logs[shake.log].powder).collect();
+    let powder: Vec<usize> =
+        design.shakes.iter().map(|shake| design.logs[shake.log].powder).collect();
     let mut columns: Vec<DVector<f64>> = Vec::new();
     for p in 0..powders {
         let of_powder = |values: &dyn Fn(usize) -> f64| {
@@ -147,10 +157,15 @@ fn columns(design: &Design) -> DMatrix<f64> {
         columns.extend(amplitude.as_ref().map(|values| of_powder(&|i| values[i])));
         columns.extend(pitch.as_ref().map(|values| of_powder(&|i| values[i])));
     }
-    columns.extend(pitch.map(|values| DVector::from_fn(powder.len(), |i, _| values[i] * values[i])));
+    columns
+        .extend(pitch.map(|values| DVector::from_fn(powder.len(), |i, _| values[i] * values[i])));
     if !design.knows(|plateau| plateau.pitch_deg) {
         columns.push(DVector::from_fn(powder.len(), |i, _| design.shakes[i].number));
     }
     columns.retain(|column| column.norm() > 0.0);
-    if columns.is_empty() { DMatrix::zeros(powder.len(), 0) } else { DMatrix::from_columns(&columns) }
+    if columns.is_empty() {
+        DMatrix::zeros(powder.len(), 0)
+    } else {
+        DMatrix::from_columns(&columns)
+    }
 }

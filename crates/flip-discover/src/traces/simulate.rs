@@ -44,7 +44,10 @@ pub(super) fn noise_behind(shown_sd_mg: f64, readability_mg: f64) -> f64 {
     }
     let variance = |s: f64| {
         let of = |u: f64| {
-            let at = |j: i32| normal::cdf((f64::from(j) + 0.5 - u) / s) - normal::cdf((f64::from(j) - 0.5 - u) / s);
+            let at = |j: i32| {
+                normal::cdf((f64::from(j) + 0.5 - u) / s)
+                    - normal::cdf((f64::from(j) - 0.5 - u) / s)
+            };
             let (mean, square) = (-4..=5).fold((0.0, 0.0), |(mean, square), j| {
                 let p = at(j);
                 (mean + p * f64::from(j), square + p * f64::from(j * j))
@@ -62,7 +65,13 @@ pub(super) fn noise_behind(shown_sd_mg: f64, readability_mg: f64) -> f64 {
 }
 
 /// Readings of simulation `k`, `[readings]`, mg.
-pub(super) fn readings(design: &Design, masses: Option<&Masses>, scatter: &Scatter, seed: u64, k: u64) -> Vec<f64> {
+pub(super) fn readings(
+    design: &Design,
+    masses: Option<&Masses>,
+    scatter: &Scatter,
+    seed: u64,
+    k: u64,
+) -> Vec<f64> {
     let mut rng = Pcg64::seed_from_u64(derive(seed, &[k]));
     let (ratio, filter_s) = pick(&scatter.filtered, rng.random());
     let [own, common, step] = pick(&scatter.shakes, rng.random());

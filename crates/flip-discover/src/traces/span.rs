@@ -17,11 +17,14 @@ impl Along {
     /// The covariate `mechanism` goes with; `scattered` are the plateaus of the level of scatter.
     pub fn of(mechanism: TraceMechanism, design: &Design, scattered: &[usize]) -> Self {
         let plateau = |row: &super::design::Row| &design.plateaus[row.plateau];
-        let rows = |of: &dyn Fn(&super::design::Row) -> Option<f64>| design.rows.iter().map(of).collect();
+        let rows =
+            |of: &dyn Fn(&super::design::Row) -> Option<f64>| design.rows.iter().map(of).collect();
         let is_dose = |plateau: &Plateau| design.logs[plateau.log].kind == Kind::Dose;
-        let is_step = |row: &super::design::Row| design.logs[plateau(row).log].plateaus.start != row.plateau;
-        let shakes =
-            |of: &dyn Fn(&super::design::Shake) -> Option<f64>| design.shakes.iter().map(of).collect::<Vec<_>>();
+        let is_step =
+            |row: &super::design::Row| design.logs[plateau(row).log].plateaus.start != row.plateau;
+        let shakes = |of: &dyn Fn(&super::design::Shake) -> Option<f64>| {
+            design.shakes.iter().map(of).collect::<Vec<_>>()
+        };
         let (covariate, at) = match mechanism {
             TraceMechanism::BalanceDrift => ("t_s", rows(&|row| Some(row.t_s))),
             TraceMechanism::MassUptake | TraceMechanism::Evaporation => {
@@ -30,17 +33,23 @@ impl Along {
             TraceMechanism::BalanceLag | TraceMechanism::BalanceStatic => {
                 ("t_s", rows(&|row| is_step(row).then(|| row.t_s - plateau(row).step_s)))
             }
-            TraceMechanism::VibrationNoise => {
-                ("vibration_rms_m_s2", scattered.iter().map(|&k| design.plateaus[k].vibration).collect())
-            }
+            TraceMechanism::VibrationNoise => (
+                "vibration_rms_m_s2",
+                scattered.iter().map(|&k| design.plateaus[k].vibration).collect(),
+            ),
             TraceMechanism::SpoonHoldup | TraceMechanism::Densification => {
                 ("shake_index", shakes(&|shake| Some(shake.number)))
             }
             TraceMechanism::FillLevel => {
                 let fill = |k: usize| design.plateaus[k].fill_mg;
-                ("spoon_fill_mg", shakes(&|shake| shake.before.and_then(fill).or(fill(shake.after))))
+                (
+                    "spoon_fill_mg",
+                    shakes(&|shake| shake.before.and_then(fill).or(fill(shake.after))),
+                )
             }
-            TraceMechanism::Actuator => ("shake_mm", shakes(&|shake| design.plateaus[shake.after].shake_mm)),
+            TraceMechanism::Actuator => {
+                ("shake_mm", shakes(&|shake| design.plateaus[shake.after].shake_mm))
+            }
         };
         Self { covariate, at }
     }
@@ -49,7 +58,9 @@ impl Along {
     pub fn ends(&self) -> Option<[f64; 2]> {
         let mut known: Vec<f64> = self.at.iter().flatten().copied().collect();
         known.sort_by(f64::total_cmp);
-        let at = |share: f64| known.get(((known.len().max(1) - 1) as f64 * share).round() as usize).copied();
+        let at = |share: f64| {
+            known.get(((known.len().max(1) - 1) as f64 * share).round() as usize).copied()
+        };
         Some([at(0.05)?, at(0.95)?])
     }
 
@@ -59,12 +70,14 @@ impl Along {
         let mut known: Vec<(f64, f64)> =
             self.at.iter().zip(signature).filter_map(|(at, &of)| at.map(|at| (at, of))).collect();
         known.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (Some(first), Some(last)) = (known.get(known.len() / 10), known.get(known.len() - 1 - known.len() / 10))
+        let (Some(first), Some(last)) =
+            (known.get(known.len() / 10), known.get(known.len() - 1 - known.len() / 10))
         else {
             return 0.0;
         };
         let mean = |kept: &dyn Fn(f64) -> bool| {
-            let kept: Vec<f64> = known.iter().filter(|(at, _)| kept(*at)).map(|(_, of)| *of).collect();
+            let kept: Vec<f64> =
+                known.iter().filter(|(at, _)| kept(*at)).map(|(_, of)| *of).collect();
             kept.iter().sum::<f64>() / kept.len() as f64
         };
         mean(&|at| at >= last.0) - mean(&|at| at <= first.0)
@@ -95,12 +108,20 @@ impl TraceMechanism {
         let number = |x: f64| {
             let decimals = (2.0 - x.abs().max(1e-9).log10().floor()).clamp(0.0, 4.0) as usize;
             let text = format!("{x:.decimals$}");
-            if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+            if text.contains('.') {
+                text.trim_end_matches('0').trim_end_matches('.').to_owned()
+            } else {
+                text
+            }
         };
         let (from, to) = (number(from), number(to));
         match self {
-            Self::BalanceDrift | Self::MassUptake | Self::Evaporation => format!("from {from} to {to} s of a weighing"),
-            Self::BalanceLag | Self::BalanceStatic => format!("from {from} to {to} s after a shake"),
+            Self::BalanceDrift | Self::MassUptake | Self::Evaporation => {
+                format!("from {from} to {to} s of a weighing")
+            }
+            Self::BalanceLag | Self::BalanceStatic => {
+                format!("from {from} to {to} s after a shake")
+            }
             Self::VibrationNoise => format!("from {from} to {to} m/s2 of vibration"),
             _ if covariate == "shake_index" => format!("from shake {from} to shake {to}"),
             Self::Actuator => format!("from {from} to {to} mm of amplitude"),

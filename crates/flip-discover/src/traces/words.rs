@@ -128,7 +128,9 @@ fn control(cause: TraceCause) -> Control {
 pub(super) fn experiment(told: &[TraceCause], verdict: Verdict) -> Option<Experiment> {
     let first = told.first().filter(|_| verdict != Verdict::NoDiscrepancy)?;
     let Control { what, runs, minutes } = control(*first);
-    let run = |settings: &Settings| settings.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned()));
+    let run = |settings: &Settings| {
+        settings.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+    };
     Some(Experiment {
         what: what.to_owned(),
         runs: runs.iter().map(|settings| run(settings).collect::<BTreeMap<_, _>>()).collect(),
@@ -140,7 +142,9 @@ pub(super) fn experiment(told: &[TraceCause], verdict: Verdict) -> Option<Experi
 
 /// The effect of a cause, worded for a chemist.
 fn spoken(cause: TraceCause) -> &'static str {
-    let TraceCause::Known(mechanism) = cause else { return "readings wander, in each weighing in their own way" };
+    let TraceCause::Known(mechanism) = cause else {
+        return "readings wander, in each weighing in their own way";
+    };
     match mechanism {
         TraceMechanism::BalanceDrift => "the balance drifts, whatever is on it",
         TraceMechanism::BalanceLag => "the balance follows a shake later than the simulated one",
@@ -148,7 +152,9 @@ fn spoken(cause: TraceCause) -> &'static str {
         TraceMechanism::Evaporation => "the vial loses mass",
         TraceMechanism::BalanceStatic => "charge pulls at the pan after each shake",
         TraceMechanism::VibrationNoise => "readings scatter more where the bench vibrates more",
-        TraceMechanism::SpoonHoldup => "the spoon keeps part of what its first shakes would let fall",
+        TraceMechanism::SpoonHoldup => {
+            "the spoon keeps part of what its first shakes would let fall"
+        }
         TraceMechanism::FillLevel => "a fuller spoon lets fall more than simulated",
         TraceMechanism::Densification => "shaken powder packs and lets fall less",
         TraceMechanism::Actuator => "shakes are not as long as they were commanded to be",
@@ -170,14 +176,22 @@ fn changed(cause: TraceCause) -> &'static str {
 }
 
 fn sized(judged: &TraceJudged) -> String {
-    let Some(effect) = judged.effect.as_ref().filter(|it| is_told(it.ci95, it.unit)) else { return String::new() };
-    format!(": {}{} {}", changed(judged.mechanism), sizes::sized(effect.value, effect.ci95, effect.unit), effect.span)
+    let Some(effect) = judged.effect.as_ref().filter(|it| is_told(it.ci95, it.unit)) else {
+        return String::new();
+    };
+    format!(
+        ": {}{} {}",
+        changed(judged.mechanism),
+        sizes::sized(effect.value, effect.ci95, effect.unit),
+        effect.span
+    )
 }
 
 /// What balance readings show, in one sentence or two.
 pub(super) fn sentence(told: &[&TraceJudged], channel: &TraceChannel) -> String {
     let unjudged = channel.unjudged.as_ref();
-    let unjudged = unjudged.map_or(String::new(), |why| format!("What the spoon lets fall is not judged: {why}."));
+    let unjudged = unjudged
+        .map_or(String::new(), |why| format!("What the spoon lets fall is not judged: {why}."));
     let first = match (channel.verdict, told) {
         (Verdict::Cause, [one, ..]) => format!(
             "Balance readings depart from the simulated bench, because {}{} (probability {:.0} %).",
@@ -214,8 +228,11 @@ pub(super) fn sentence(told: &[&TraceJudged], channel: &TraceChannel) -> String 
         }
     };
     let first = [first, unjudged].join(" ").trim_end().to_owned();
-    let opening =
-        if channel.verdict == Verdict::Ambiguous { "What would tell them apart" } else { "What would prove it" };
+    let opening = if channel.verdict == Verdict::Ambiguous {
+        "What would tell them apart"
+    } else {
+        "What would prove it"
+    };
     match &channel.suggested_experiment {
         Some(it) => format!("{first} {opening}: {} ({:.0} minutes).", it.what, it.minutes),
         None => first,
@@ -244,9 +261,15 @@ pub(super) fn blind_spots(traces: &Traces, screening: &TraceScreening) -> Vec<St
         )),
     }
     if !screening.untestable.is_empty() {
-        let names: Vec<String> =
-            screening.untestable.iter().map(|(mechanism, _)| mechanism.name().0.replace('_', " ")).collect();
-        spots.push(format!("Of the bench: {}. What they need was not recorded, or did not vary.", names.join(", ")));
+        let names: Vec<String> = screening
+            .untestable
+            .iter()
+            .map(|(mechanism, _)| mechanism.name().0.replace('_', " "))
+            .collect();
+        spots.push(format!(
+            "Of the bench: {}. What they need was not recorded, or did not vary.",
+            names.join(", ")
+        ));
     }
     spots
 }

@@ -57,18 +57,26 @@ mod tests {
     fn both_formulas_agree_with_monte_carlo() {
         let mut rng = Pcg64::seed_from_u64(4);
         let draws: Vec<f64> = (0..200_000).map(|_| quantile(rng.random::<f64>())).collect();
-        for (mean, sd, target, tau) in
-            [(30.0, 2.0, 30.0, 1.5), (33.0, 2.0, 30.0, 1.5), (28.0, 0.7, 30.0, 4.0), (31.0, 6.0, 36.0, 0.5)]
-        {
+        for (mean, sd, target, tau) in [
+            (30.0, 2.0, 30.0, 1.5),
+            (33.0, 2.0, 30.0, 1.5),
+            (28.0, 0.7, 30.0, 4.0),
+            (31.0, 6.0, 36.0, 0.5),
+        ] {
             let errors = draws.iter().map(|z| (mean + sd * z - target).abs());
             let gains: Vec<f64> = errors.map(|e| (tau - e).max(0.0)).collect();
             let n = gains.len() as f64;
-            let (sampled, hits) =
-                (gains.iter().sum::<f64>() / n, gains.iter().filter(|g| **g > 0.0).count() as f64 / n);
+            let (sampled, hits) = (
+                gains.iter().sum::<f64>() / n,
+                gains.iter().filter(|g| **g > 0.0).count() as f64 / n,
+            );
             let at = Prediction { mean, sd };
             // Four standard errors of 200 000 draws of a number with SD below tau / 2, and of a
             // proportion.
-            assert!((expected_improvement(at, target, tau) - sampled).abs() < 4.0 * tau / 2.0 / n.sqrt());
+            assert!(
+                (expected_improvement(at, target, tau) - sampled).abs()
+                    < 4.0 * tau / 2.0 / n.sqrt()
+            );
             assert!((probability_within(at, target, tau) - hits).abs() < 4.0 * 0.5 / n.sqrt());
         }
     }

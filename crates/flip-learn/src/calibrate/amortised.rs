@@ -64,7 +64,11 @@ pub(super) fn plan(
     let wanted = (settings.sets as usize).saturating_sub(sets.len());
     let shift = size_shift(trials, settings, knowledge.emulator);
     let unknown = settings.verify_particles.is_some() && shift.is_none();
-    let affordable = wanted.min(left / settings.verify_repeats as usize).min(if unknown { PILOTS } else { usize::MAX });
+    let affordable = wanted.min(left / settings.verify_repeats as usize).min(if unknown {
+        PILOTS
+    } else {
+        usize::MAX
+    });
     if affordable == 0 {
         return Vec::new();
     }
@@ -73,7 +77,8 @@ pub(super) fn plan(
     let next = trials.iter().map(|trial| trial.candidate + 1).max().unwrap_or(0);
     let verification = |points: &[ParameterSet]| {
         let runs = (next..).zip(points).flat_map(|(candidate, set)| {
-            (1..=settings.verify_repeats).map(move |repeat| Planned::fresh(candidate, *set, repeat, settings))
+            (1..=settings.verify_repeats)
+                .map(move |repeat| Planned::fresh(candidate, *set, repeat, settings))
         });
         runs.collect()
     };
@@ -82,19 +87,29 @@ pub(super) fn plan(
         // Verify only once: the verification is the answer. Pilots were verified before this was
         // known.
         let pilots = if settings.verify_particles.is_some() { PILOTS } else { 0 };
-        return if candidates_of(trials).len() <= pilots { verification(&[nearest]) } else { Vec::new() };
+        return if candidates_of(trials).len() <= pilots {
+            verification(&[nearest])
+        } else {
+            Vec::new()
+        };
     }
     let region = region(&Knowledge { emulator: &emulator, ..*knowledge }, target, settings, pool);
-    let of = |phase: Phase| trials.iter().filter(move |t| t.phase == phase).map(|t| t.parameters.to_unit());
+    let of = |phase: Phase| {
+        trials.iter().filter(move |t| t.phase == phase).map(|t| t.parameters.to_unit())
+    };
     let (searched, verified): (Vec<Point>, Vec<Point>) =
         (of(Phase::Search).collect(), of(Phase::Verification).collect());
     let taken: Vec<Point> = sets.iter().map(|set| set.parameters.to_unit()).collect();
     let chosen = spread(region, taken, &verified, affordable);
-    let doubtful = chosen.iter().filter(|rated| rated.passes < SURE && !searched.contains(&rated.set.to_unit()));
+    let doubtful = chosen
+        .iter()
+        .filter(|rated| rated.passes < SURE && !searched.contains(&rated.set.to_unit()));
     let heaps = SEARCH_MAX.saturating_sub(searched.len()).min(left);
     let doubtful: Vec<Planned> = (next..)
         .zip(doubtful.take(heaps))
-        .map(|(candidate, rated)| Planned::search(candidate, rated.set, settings.seed).read(settings.readings))
+        .map(|(candidate, rated)| {
+            Planned::search(candidate, rated.set, settings.seed).read(settings.readings)
+        })
         .collect();
     if !doubtful.is_empty() {
         return doubtful;
@@ -114,28 +129,35 @@ pub(super) fn shortfall(
     let emulator = grown(trials, settings, emulator);
     match beyond_reach(&emulator, &aim, settings, &pool(settings.seed)) {
         Some(nearest) => {
-            let verdicts = candidates_of(trials).into_iter().filter_map(|k| verdict(k, trials, target, settings));
-            let measured = verdicts.min_by(|a, b| a.verified_error_deg.total_cmp(&b.verified_error_deg));
+            let verdicts = candidates_of(trials)
+                .into_iter()
+                .filter_map(|k| verdict(k, trials, target, settings));
+            let measured =
+                verdicts.min_by(|a, b| a.verified_error_deg.total_cmp(&b.verified_error_deg));
             let expected = emulator.mean_deg(&nearest) + shift.unwrap_or(0.0);
             Some(Shortfall {
                 nearest_repose_deg: measured.map_or(expected, |set| set.repose_deg),
                 limiting_parameter: limiting(&emulator, &nearest, &aim).map(str::to_owned),
             })
         }
-        None => {
-            super::nearest(trials).map(|nearest_repose_deg| Shortfall { nearest_repose_deg, limiting_parameter: None })
-        }
+        None => super::nearest(trials)
+            .map(|nearest_repose_deg| Shortfall { nearest_repose_deg, limiting_parameter: None }),
     }
 }
 
 /// Angle of the verification heaps minus that of heaps of the emulator's size, degrees: the mean
 /// over the verified runs of the difference from the emulator's prediction before it has seen any
 /// of them. None if the sizes are equal, or nothing has been verified yet.
-pub(super) fn size_shift(trials: &[Trial], settings: &Settings, emulator: &Emulator) -> Option<f64> {
+pub(super) fn size_shift(
+    trials: &[Trial],
+    settings: &Settings,
+    emulator: &Emulator,
+) -> Option<f64> {
     settings.verify_particles?;
     let verified = trials.iter().filter(|trial| trial.phase == Phase::Verification);
-    let shifts: Vec<f64> =
-        verified.filter_map(|t| Some(t.outcome.tip_deg()? - emulator.mean_deg(&t.parameters))).collect();
+    let shifts: Vec<f64> = verified
+        .filter_map(|t| Some(t.outcome.tip_deg()? - emulator.mean_deg(&t.parameters)))
+        .collect();
     summary::mean(&shifts)
 }
 
@@ -173,7 +195,12 @@ struct Rated {
 
 /// The points with the least expected error, best first. Other measurements count in addition to
 /// the angle.
-fn region(knowledge: &Knowledge<'_>, target: &Flowability, settings: &Settings, pool: Vec<ParameterSet>) -> Vec<Rated> {
+fn region(
+    knowledge: &Knowledge<'_>,
+    target: &Flowability,
+    settings: &Settings,
+    pool: Vec<ParameterSet>,
+) -> Vec<Rated> {
     let emulator = knowledge.emulator;
     let misfit = |set: &ParameterSet, error_deg: f64| {
         let others: f64 = knowledge.channels.iter().map(|channel| channel.misfit(set)).sum();
@@ -183,7 +210,8 @@ fn region(knowledge: &Knowledge<'_>, target: &Flowability, settings: &Settings, 
     let rate = |set: ParameterSet| {
         let expected = emulator.expect(&set);
         let Prediction { mean, sd } = expected.mean;
-        let verified = Prediction { mean, sd: sd.hypot(expected.seed_sd_deg * verification.sqrt()) };
+        let verified =
+            Prediction { mean, sd: sd.hypot(expected.seed_sd_deg * verification.sqrt()) };
         let passes = probability_within(verified, target.repose_deg, settings.tolerance_deg);
         Rated { set, misfit: misfit(&set, (mean - target.repose_deg).hypot(sd)), passes }
     };
@@ -204,7 +232,12 @@ fn region(knowledge: &Knowledge<'_>, target: &Flowability, settings: &Settings, 
 /// verified.
 ///
 /// The maximin idea is from Johnson, Moore and Ylvisaker (1990).
-fn spread(mut region: Vec<Rated>, mut taken: Vec<Point>, verified: &[Point], count: usize) -> Vec<Rated> {
+fn spread(
+    mut region: Vec<Rated>,
+    mut taken: Vec<Point>,
+    verified: &[Point],
+    count: usize,
+) -> Vec<Rated> {
     region.retain(|rated| !verified.contains(&rated.set.to_unit()));
     let mut chosen = Vec::new();
     while chosen.len() < count && !region.is_empty() {
@@ -214,7 +247,8 @@ fn spread(mut region: Vec<Rated>, mut taken: Vec<Point>, verified: &[Point], cou
         };
         // With nothing taken yet, all gaps are equal, and the first point, with the least error,
         // wins.
-        let best = (0..region.len()).rev().max_by(|a, b| gap(&region[*a]).total_cmp(&gap(&region[*b])));
+        let best =
+            (0..region.len()).rev().max_by(|a, b| gap(&region[*a]).total_cmp(&gap(&region[*b])));
         let rated = region.remove(best.expect("the region is not empty"));
         taken.push(rated.set.to_unit());
         chosen.push(rated);

@@ -89,14 +89,19 @@ pub fn design(emulator: &Emulator, instrument: &Instrument) -> Vec<Probe> {
     let pool = latin_hypercube(POOL, &mut rng);
     let sets: Vec<ParameterSet> = pool.par_iter().map(space::parameters_at).collect();
     let asked = |set: &&ParameterSet| (ASKED[0]..=ASKED[1]).contains(&emulator.mean_deg(set));
-    let mut left: Vec<_> =
-        sets.par_iter().filter(asked).map(|set| (*set, (instrument.numbers)(set), f64::MAX)).collect();
+    let mut left: Vec<_> = sets
+        .par_iter()
+        .filter(asked)
+        .map(|set| (*set, (instrument.numbers)(set), f64::MAX))
+        .collect();
     let mut chosen = Vec::new();
     // Each point is the farthest from those before it.
     while chosen.len() < RUNS && !left.is_empty() {
-        let farthest = (0..left.len()).max_by(|a, b| left[*a].2.total_cmp(&left[*b].2)).expect("not empty");
+        let farthest =
+            (0..left.len()).max_by(|a, b| left[*a].2.total_cmp(&left[*b].2)).expect("not empty");
         let (set, numbers, _) = left.swap_remove(farthest);
-        left.par_iter_mut().for_each(|(_, other, nearest)| *nearest = nearest.min(distance(other, &numbers)));
+        left.par_iter_mut()
+            .for_each(|(_, other, nearest)| *nearest = nearest.min(distance(other, &numbers)));
         chosen.push(set);
     }
     planned(&chosen, 1, 1)
@@ -130,7 +135,9 @@ pub fn carry_out<E: Display + Send>(
     mut on_run: impl FnMut(&Probe, &Progress) -> ControlFlow<()>,
 ) -> Result<Vec<Probe>, Error> {
     for (planned, known) in plan.iter().zip(history) {
-        if (planned.index, planned.seed, planned.parameters) != (known.index, known.seed, known.parameters) {
+        if (planned.index, planned.seed, planned.parameters)
+            != (known.index, known.seed, known.parameters)
+        {
             return Err(Error::History { index: planned.index });
         }
     }
@@ -138,8 +145,13 @@ pub fn carry_out<E: Display + Send>(
     let mut runs = history[..history.len().min(all)].to_vec();
     for batch in plan[runs.len()..].chunks(CHUNK) {
         let run = |probe: &Probe| match simulate(&probe.parameters, probe.seed) {
-            Ok(reduced) if reduced.is_finite() => Probe { reduced: Some(micro(reduced)), ..probe.clone() },
-            Ok(_) => Probe { refusal: Some("the simulated observable is not a number".to_owned()), ..probe.clone() },
+            Ok(reduced) if reduced.is_finite() => {
+                Probe { reduced: Some(micro(reduced)), ..probe.clone() }
+            }
+            Ok(_) => Probe {
+                refusal: Some("the simulated observable is not a number".to_owned()),
+                ..probe.clone()
+            },
             Err(reason) => Probe { refusal: Some(reason.to_string()), ..probe.clone() },
         };
         for run in batch.par_iter().map(run).collect::<Vec<_>>() {
@@ -160,11 +172,14 @@ impl Channel {
     /// Builds a channel from a measurement and the runs of its emulator; none if the runs are
     /// insufficient.
     pub fn of(observation: Observation, runs: &[Probe], instrument: Instrument) -> Option<Self> {
-        let seen = runs.iter().filter_map(|run| Some(((instrument.numbers)(&run.parameters), run.reduced?)));
+        let seen = runs
+            .iter()
+            .filter_map(|run| Some(((instrument.numbers)(&run.parameters), run.reduced?)));
         let (inputs, outputs): (Vec<_>, Vec<_>) = seen.unzip();
         let prior = Prior { noise_sd: (0.2, 0.7), ..Prior::default() };
         let reduced = GaussianProcess::fit(&inputs, &outputs, &prior).ok()?;
-        let sha256 = hex::encode(Sha256::digest(serde_json::to_string(runs).expect("numbers and text")));
+        let sha256 =
+            hex::encode(Sha256::digest(serde_json::to_string(runs).expect("numbers and text")));
         Some(Self { observation, instrument, reduced, sha256 })
     }
 
@@ -185,7 +200,8 @@ impl Channel {
 
     /// Whether the observable cannot tell two sets apart.
     pub fn sees_alike(&self, a: &ParameterSet, b: &ParameterSet) -> bool {
-        (self.instrument.numbers)(a) == (self.instrument.numbers)(b) && self.value(a, 1.0) == self.value(b, 1.0)
+        (self.instrument.numbers)(a) == (self.instrument.numbers)(b)
+            && self.value(a, 1.0) == self.value(b, 1.0)
     }
 
     /// Distance of a set's expected value from the measurement, in units of twice the standard

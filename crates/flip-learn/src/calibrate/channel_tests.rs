@@ -21,7 +21,9 @@ fn numbers(set: &ParameterSet) -> [f64; NUMBERS] {
 /// The mass of a grain is a known factor.
 fn value(observable: &Observable, set: &ParameterSet, reduced: f64) -> f64 {
     match observable {
-        Observable::FlowTime { mass_g, .. } => mass_g * 10.0 / set.particle_mass_ug() / reduced.max(0.0),
+        Observable::FlowTime { mass_g, .. } => {
+            mass_g * 10.0 / set.particle_mass_ug() / reduced.max(0.0)
+        }
         _ => reduced,
     }
 }
@@ -88,7 +90,12 @@ fn an_observation_parts_what_the_angle_alone_leaves_together() {
     let (emulator, truth) = (emulator(), powder());
     let channels = [channel(&emulator, DRAINED, &truth)];
     let alone = Posterior::of((&emulator).into(), &measured(&truth), 400, 1);
-    let joint = Posterior::of(Knowledge { emulator: &emulator, channels: &channels }, &measured(&truth), 400, 1);
+    let joint = Posterior::of(
+        Knowledge { emulator: &emulator, channels: &channels },
+        &measured(&truth),
+        400,
+        1,
+    );
     let explains = |draw: &[f64; 9]| {
         let set = ParameterSet::new(*draw).unwrap();
         (reduced(&set) - reduced(&truth)).abs() < 0.15
@@ -105,7 +112,11 @@ fn the_mass_of_a_grain_is_inert_until_something_weighs_it() {
         Posterior::of(known, &measured(&truth), 100, 1).parameters[8].inert
     };
     assert!(inert(&[]) && inert(&[channel(&emulator, DRAINED, &truth)]));
-    assert!(!inert(&[channel(&emulator, Observable::FlowTime { mass_g: 50.0, orifice_mm: 2.5 }, &truth)]));
+    assert!(!inert(&[channel(
+        &emulator,
+        Observable::FlowTime { mass_g: 50.0, orifice_mm: 2.5 },
+        &truth
+    )]));
 }
 
 #[test]
@@ -115,16 +126,24 @@ fn sets_meet_the_angle_and_the_observation_together() {
     let sets = |channels: &[Channel]| {
         let known = Knowledge { emulator: &emulator, channels };
         let found =
-            calibrate(&measured(&truth), &settings(3), Some(known), &[], formula, |_, _| ControlFlow::Continue(()));
+            calibrate(&measured(&truth), &settings(3), Some(known), &[], formula, |_, _| {
+                ControlFlow::Continue(())
+            });
         found.unwrap().sets
     };
     let off = |sets: &[CalibratedSet]| {
-        sets.iter().map(|set| (reduced(&set.parameters) - reduced(&truth)).abs()).sum::<f64>() / sets.len() as f64
+        sets.iter().map(|set| (reduced(&set.parameters) - reduced(&truth)).abs()).sum::<f64>()
+            / sets.len() as f64
     };
     let (alone, joint) = (sets(&[]), sets(&channels));
     assert_eq!(alone.len(), joint.len());
     assert!(joint.iter().all(|set| set.verified_error_deg <= settings(3).tolerance_deg));
-    assert!(off(&joint) < 0.1 && off(&alone) > 2.0 * off(&joint), "{} {}", off(&joint), off(&alone));
+    assert!(
+        off(&joint) < 0.1 && off(&alone) > 2.0 * off(&joint),
+        "{} {}",
+        off(&joint),
+        off(&alone)
+    );
 }
 
 #[test]

@@ -112,7 +112,9 @@ pub fn build<E: Display + Send>(
         for batch in round[known..].chunks(super::CHUNK) {
             let heap = |p: &Planned| {
                 let pour = Pour { particles: design.particles, readings: p.readings };
-                Outcome::of(simulate(&p.parameters, pour, p.seed).map_err(|error| error.to_string()))
+                Outcome::of(
+                    simulate(&p.parameters, pour, p.seed).map_err(|error| error.to_string()),
+                )
             };
             let outcomes: Vec<Outcome> = batch.par_iter().map(heap).collect();
             for (planned, outcome) in batch.iter().zip(outcomes) {
@@ -137,13 +139,16 @@ fn plan(design: &Design, directions: Directions, runs: &[Trial]) -> Vec<Planned>
             let wanted = design.initial.saturating_sub(first).max(1).min(design.runs - first);
             maximin_latin_hypercube(wanted as usize, 20, &mut rng)
         }
-        Some(emulator) => {
-            emulator.least_certain(design.round.min(design.runs - first) as usize, latin_hypercube(POOL, &mut rng))
-        }
+        Some(emulator) => emulator.least_certain(
+            design.round.min(design.runs - first) as usize,
+            latin_hypercube(POOL, &mut rng),
+        ),
     };
     let planned = (first..).zip(points);
     planned
-        .map(|(k, point)| Planned::search(k, space::parameters_at(&point), design.seed).read(design.readings))
+        .map(|(k, point)| {
+            Planned::search(k, space::parameters_at(&point), design.seed).read(design.readings)
+        })
         .collect()
 }
 
@@ -175,23 +180,30 @@ impl Emulator {
         let heaps: Vec<([f64; DIRECTIONS], f64, f64, u32)> = runs
             .iter()
             .filter_map(|run| match &run.outcome {
-                Outcome::Heap(heap) => {
-                    Some((directions(&run.parameters), heap.tip_deg, heap.tip_sd_deg.unwrap_or(0.0), run.readings))
-                }
+                Outcome::Heap(heap) => Some((
+                    directions(&run.parameters),
+                    heap.tip_deg,
+                    heap.tip_sd_deg.unwrap_or(0.0),
+                    run.readings,
+                )),
                 Outcome::Refused(_) => None,
             })
             .collect();
         let inputs: Vec<_> = heaps.iter().map(|heap| heap.0).collect();
         // If all readings of a heap were equal to within rounding, the logarithm would diverge.
-        let logs: Vec<f64> =
-            heaps.iter().map(|(_, _, sd, readings)| 2.0 * sd.max(1e-3).ln() - log_bias(readings.max(&2) - 1)).collect();
+        let logs: Vec<f64> = heaps
+            .iter()
+            .map(|(_, _, sd, readings)| 2.0 * sd.max(1e-3).ln() - log_bias(readings.max(&2) - 1))
+            .collect();
         let smooth = Prior { lengthscale: (3.0, 0.5), signal_sd: (0.5, 0.5), noise_sd: (0.9, 0.3) };
         let spread = GaussianProcess::fit(&inputs, &logs, &smooth).ok()?;
         let variance = |x: &[f64; DIRECTIONS]| spread.mean(x).exp();
         let unit = inputs.iter().map(variance).sum::<f64>() / inputs.len().max(1) as f64;
-        let noise: Vec<f64> = heaps.iter().map(|(x, _, _, readings)| variance(x) / unit * share(*readings)).collect();
+        let noise: Vec<f64> =
+            heaps.iter().map(|(x, _, _, readings)| variance(x) / unit * share(*readings)).collect();
         let tips: Vec<f64> = heaps.iter().map(|heap| heap.1).collect();
-        let angle = GaussianProcess::fit_with_noise(&inputs, &tips, &noise, &Prior::default()).ok()?;
+        let angle =
+            GaussianProcess::fit_with_noise(&inputs, &tips, &noise, &Prior::default()).ok()?;
         let hash = sha256(serde_json::to_string(runs).expect("numbers and text").as_bytes());
         Some(Self { angle, spread, unit, directions, hash, runs: runs.len() as u32 })
     }
@@ -230,16 +242,25 @@ impl Emulator {
     pub fn with(&self, trials: &[Trial]) -> Self {
         let seen = trials.iter().filter_map(|trial| {
             let x = self.directions(&trial.parameters);
-            Some((x, trial.outcome.tip_deg()?, self.variance(&x) / self.unit * share(trial.readings)))
+            Some((
+                x,
+                trial.outcome.tip_deg()?,
+                self.variance(&x) / self.unit * share(trial.readings),
+            ))
         });
         let seen: Vec<_> = seen.collect();
-        if seen.is_empty() { self.clone() } else { Self { angle: self.angle.observe(&seen), ..self.clone() } }
+        if seen.is_empty() {
+            self.clone()
+        } else {
+            Self { angle: self.angle.observe(&seen), ..self.clone() }
+        }
     }
 
     /// Selects the points of `pool` at which the angle is least certain, one after another, each as
     /// if those before it had been observed.
     fn least_certain(&self, count: usize, pool: Vec<Point>) -> Vec<Point> {
-        let numbers: Vec<_> = pool.iter().map(|point| self.directions(&space::parameters_at(point))).collect();
+        let numbers: Vec<_> =
+            pool.iter().map(|point| self.directions(&space::parameters_at(point))).collect();
         let mut angle = self.angle.clone();
         let mut chosen = Vec::new();
         for _ in 0..count {

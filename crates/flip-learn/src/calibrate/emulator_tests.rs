@@ -20,7 +20,9 @@ fn numbers(set: &ParameterSet) -> [f64; DIRECTIONS] {
 
 pub(super) fn clean_deg(set: &ParameterSet) -> f64 {
     let [friction, attraction, wall, reach, _] = numbers(set);
-    22.0 + 18.0 * friction.powf(0.7) + 12.0 * attraction * (1.0 + 0.2 * reach) + 2.0 * wall * friction
+    22.0 + 18.0 * friction.powf(0.7)
+        + 12.0 * attraction * (1.0 + 0.2 * reach)
+        + 2.0 * wall * friction
 }
 
 /// How much flatter a heap of this many grains is than one of 2000, degrees; slightly more for
@@ -39,7 +41,11 @@ pub(super) fn normal(seed: u64, k: u64) -> f64 {
 }
 
 /// A heap read this many times, including the variance its readings share.
-pub(super) fn formula(set: &ParameterSet, Pour { particles, readings }: Pour, seed: u64) -> Result<Heap, String> {
+pub(super) fn formula(
+    set: &ParameterSet,
+    Pour { particles, readings }: Pour,
+    seed: u64,
+) -> Result<Heap, String> {
     let sd = noise_deg(set);
     let common = 0.3 * sd * normal(seed, 1000);
     let tips: Vec<f64> = (0..readings)
@@ -67,18 +73,25 @@ pub(super) fn settings(seed: u64) -> Settings {
 
 fn run(emulator: &Emulator, deg: f64, settings: &Settings) -> Calibration {
     let target = Flowability { repose_deg: deg, sd_deg: 2.0, n: 5 };
-    calibrate(&target, settings, Some(emulator.into()), &[], formula, |_, _| ControlFlow::Continue(())).unwrap()
+    calibrate(&target, settings, Some(emulator.into()), &[], formula, |_, _| {
+        ControlFlow::Continue(())
+    })
+    .unwrap()
 }
 
 fn sets_of_the_box(count: usize, seed: u64) -> Vec<ParameterSet> {
-    latin_hypercube(count, &mut Pcg64::seed_from_u64(seed)).iter().map(space::parameters_at).collect()
+    latin_hypercube(count, &mut Pcg64::seed_from_u64(seed))
+        .iter()
+        .map(space::parameters_at)
+        .collect()
 }
 
 #[test]
 fn an_emulator_knows_the_angle_its_own_error_and_the_scatter() {
     let emulator = emulator();
     let (mut errors, mut scores, mut spreads) = (Vec::new(), Vec::new(), Vec::new());
-    for set in sets_of_the_box(300, 77).iter().filter(|set| (22.0..50.0).contains(&clean_deg(set))) {
+    for set in sets_of_the_box(300, 77).iter().filter(|set| (22.0..50.0).contains(&clean_deg(set)))
+    {
         let expected = emulator.expect(set);
         let error = expected.mean.mean - clean_deg(set);
         errors.push(error * error);
@@ -110,8 +123,9 @@ fn an_interrupted_build_goes_on_and_ends_with_the_same_bytes_on_any_number_of_th
             simulated.fetch_add(1, Ordering::Relaxed);
             formula(set, pour, seed)
         };
-        let resumed =
-            pool.install(|| build(&design, numbers, &heard, counted, |_, _| ControlFlow::Continue(()))).unwrap();
+        let resumed = pool
+            .install(|| build(&design, numbers, &heard, counted, |_, _| ControlFlow::Continue(())))
+            .unwrap();
         assert_eq!(resumed.hash(), whole.hash());
         assert_eq!(simulated.load(Ordering::Relaxed) as usize, 70 - stop);
         let set = ParameterSet::default();
@@ -139,10 +153,13 @@ fn ten_different_verified_sets_are_read_off_the_emulator_for_every_powder() {
         assert!(found.sets.len() == 10 && found.evaluations <= 10 && found.shortfall.is_none());
         assert!(found.sets.iter().all(|set| set.runs == 8 && set.verified_error_deg <= 0.5));
         // The true error, unknown to any verification.
-        let truth: Vec<f64> = found.sets.iter().map(|set| (clean_deg(&set.parameters) - deg).abs()).collect();
+        let truth: Vec<f64> =
+            found.sets.iter().map(|set| (clean_deg(&set.parameters) - deg).abs()).collect();
         assert!(summary::mean(&truth).unwrap() < 0.45, "{truth:?}");
         let points: Vec<_> = found.sets.iter().map(|set| set.parameters.to_unit()).collect();
-        let gaps = (0..10).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| distance(&points[i], &points[j]));
+        let gaps = (0..10)
+            .flat_map(|i| (0..i).map(move |j| (i, j)))
+            .map(|(i, j)| distance(&points[i], &points[j]));
         let nearest = gaps.fold(9.0, f64::min);
         // Two random points of the cube are 1.2 apart, the nearest pair of ten about 0.6.
         assert!(nearest > 0.5, "{nearest}");
@@ -155,9 +172,16 @@ fn the_same_seed_and_emulator_give_the_same_sets_and_another_seed_others_as_good
     let [a, again, other] = [1, 1, 2].map(|seed| run(&emulator, 36.03, &settings(seed)));
     assert_eq!(a, again);
     assert!(a.sets.iter().all(|set| other.sets.iter().all(|o| o.parameters != set.parameters)));
-    let mean = |c: &Calibration| summary::mean(&c.sets.iter().map(|set| set.repose_deg).collect::<Vec<_>>()).unwrap();
+    let mean = |c: &Calibration| {
+        summary::mean(&c.sets.iter().map(|set| set.repose_deg).collect::<Vec<_>>()).unwrap()
+    };
     // Ten sets of up to 0.5 deg each.
-    assert!((mean(&a) - mean(&other)).abs() < 2.0 * 0.5 / 10f64.sqrt(), "{} {}", mean(&a), mean(&other));
+    assert!(
+        (mean(&a) - mean(&other)).abs() < 2.0 * 0.5 / 10f64.sqrt(),
+        "{} {}",
+        mean(&a),
+        mean(&other)
+    );
 }
 
 #[test]
@@ -165,19 +189,28 @@ fn an_interrupted_calibration_on_an_emulator_goes_on_where_it_was() {
     let emulator = emulator();
     let target = Flowability { repose_deg: 31.41, sd_deg: 1.42, n: 5 };
     let mut all = Vec::new();
-    let whole = calibrate(&target, &settings(3), Some((&emulator).into()), &[], formula, |trial, _| {
-        all.push(trial.clone());
-        ControlFlow::Continue(())
-    });
-    for kept in [1, 9, 37, all.len() - 1] {
-        let mut new = 0;
-        let resumed = calibrate(&target, &settings(3), Some((&emulator).into()), &all[..kept], formula, |_, _| {
-            new += 1;
+    let whole =
+        calibrate(&target, &settings(3), Some((&emulator).into()), &[], formula, |trial, _| {
+            all.push(trial.clone());
             ControlFlow::Continue(())
         });
+    for kept in [1, 9, 37, all.len() - 1] {
+        let mut new = 0;
+        let resumed = calibrate(
+            &target,
+            &settings(3),
+            Some((&emulator).into()),
+            &all[..kept],
+            formula,
+            |_, _| {
+                new += 1;
+                ControlFlow::Continue(())
+            },
+        );
         assert_eq!((resumed, new), (whole.clone(), all.len() - kept));
     }
-    let unfit = calibrate(&target, &settings(3), None, &[], formula, |_, _| ControlFlow::Continue(()));
+    let unfit =
+        calibrate(&target, &settings(3), None, &[], formula, |_, _| ControlFlow::Continue(()));
     assert_eq!(unfit, Err(Error::NoEmulator));
 }
 
@@ -185,7 +218,8 @@ fn an_interrupted_calibration_on_an_emulator_goes_on_where_it_was() {
 fn a_target_out_of_reach_names_the_nearest_angle_and_the_bound_in_the_way() {
     let emulator = emulator();
     let above = run(&emulator, 70.0, &settings(1));
-    let steepest = clean_deg(&ParameterSet::from_unit([0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0]));
+    let steepest =
+        clean_deg(&ParameterSet::from_unit([0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0]));
     let shortfall = above.shortfall.unwrap();
     assert!(above.sets.is_empty() && (above.evaluations, above.verification_runs) == (0, 8));
     assert!((shortfall.nearest_repose_deg - steepest).abs() < 2.0, "{shortfall:?} of {steepest}");
@@ -203,15 +237,26 @@ fn a_budget_too_small_is_kept_and_said() {
     let found = run(&emulator, 36.03, &Settings { trials_max: 40, ..settings(1) });
     assert!(found.evaluations + found.verification_runs <= 40 && found.sets.len() < 10);
     let thorough = Settings { verify_repeats: 40, ..settings(1) };
-    assert_eq!((settings(1).budget(), thorough.budget()), (300, 1200), "three verifications of every set");
+    assert_eq!(
+        (settings(1).budget(), thorough.budget()),
+        (300, 1200),
+        "three verifications of every set"
+    );
     let shortfall = found.shortfall.unwrap();
-    assert!(shortfall.limiting_parameter.is_none() && (shortfall.nearest_repose_deg - 36.03).abs() < 2.0);
+    assert!(
+        shortfall.limiting_parameter.is_none()
+            && (shortfall.nearest_repose_deg - 36.03).abs() < 2.0
+    );
 }
 
 /// A measurement of five repeats around an angle.
 fn measurement(angle_deg: f64, sd_deg: f64, seed: u64) -> Flowability {
     let repeats: Vec<f64> = (0..5).map(|k| angle_deg + sd_deg * normal(seed, k)).collect();
-    Flowability { repose_deg: summary::mean(&repeats).unwrap(), sd_deg: summary::sd(&repeats).unwrap(), n: 5 }
+    Flowability {
+        repose_deg: summary::mean(&repeats).unwrap(),
+        sd_deg: summary::sd(&repeats).unwrap(),
+        n: 5,
+    }
 }
 
 /// Simulation-based calibration (Talts et al. 2018): if the truth comes from the prior, its rank
@@ -232,7 +277,11 @@ fn posterior_ranks_are_uniform_and_intervals_cover_what_they_say() {
         let posterior = prior.given(&measurement(angle, 2.0, derive(9, &[k as u64])), DRAWS);
         let values = truth.values();
         let drawn = |j: usize| -> Vec<f64> {
-            if j < COUNT { posterior.draws.iter().map(|d| d[j]).collect() } else { posterior.repose_deg.clone() }
+            if j < COUNT {
+                posterior.draws.iter().map(|d| d[j]).collect()
+            } else {
+                posterior.repose_deg.clone()
+            }
         };
         for j in 0..=COUNT {
             let is = if j < COUNT { values[j] } else { angle };
@@ -246,7 +295,8 @@ fn posterior_ranks_are_uniform_and_intervals_cover_what_they_say() {
     let expected = POWDERS as f64 / BINS as f64;
     for j in 0..=COUNT {
         let name = PARAMETERS.get(j).map_or("angle", |p| p.key);
-        let chi2: f64 = counts[j].iter().map(|c| (f64::from(*c) - expected).powi(2) / expected).sum();
+        let chi2: f64 =
+            counts[j].iter().map(|c| (f64::from(*c) - expected).powi(2) / expected).sum();
         let share = f64::from(covered[j]) / POWDERS as f64;
         println!(
             "{name}: 68 % interval covers {:.1} % of {POWDERS} powders, chi2 of ranks {chi2:.1} of 9",
@@ -267,7 +317,8 @@ fn intervals_cover_powders_that_the_emulator_has_not_made() {
     let prior = Prior::of((&emulator).into(), 6);
     let mut covered = 0;
     for (k, truth) in sets_of_the_box(POWDERS, 12).iter().enumerate() {
-        let posterior = prior.given(&measurement(clean_deg(truth), 1.5, derive(10, &[k as u64])), 200);
+        let posterior =
+            prior.given(&measurement(clean_deg(truth), 1.5, derive(10, &[k as u64])), 200);
         let mut angles = posterior.repose_deg;
         angles.sort_by(f64::total_cmp);
         covered += u32::from((angles[32]..=angles[168]).contains(&clean_deg(truth)));
@@ -282,7 +333,9 @@ fn a_posterior_says_what_was_learnt_and_what_only_together() {
     let emulator = emulator();
     let measured = |sd_deg: f64| Flowability { repose_deg: 33.0, sd_deg, n: 5 };
     let posterior = Posterior::of((&emulator).into(), &measured(1.0), 400, 1);
-    let of = |posterior: &Posterior, key: &str| posterior.parameters.iter().find(|p| p.key == key).unwrap().clone();
+    let of = |posterior: &Posterior, key: &str| {
+        posterior.parameters.iter().find(|p| p.key == key).unwrap().clone()
+    };
     for key in ["particle_mass_ug", "particle_diameter_mm"] {
         let mass = of(&posterior, key);
         assert!(mass.inert && mass.learnt.abs() < 0.15, "{mass:?}");
@@ -290,14 +343,24 @@ fn a_posterior_says_what_was_learnt_and_what_only_together() {
     let friction = of(&posterior, "friction");
     assert!(!friction.inert && friction.learnt > 0.3, "{friction:?}");
     let pair = &posterior.together[0];
-    assert_eq!(pair.keys, ["friction".to_owned(), "cohesion".to_owned()], "{:?}", posterior.together);
+    assert_eq!(
+        pair.keys,
+        ["friction".to_owned(), "cohesion".to_owned()],
+        "{:?}",
+        posterior.together
+    );
     assert!(pair.correlation < -0.3, "more of one asks for less of the other: {pair:?}");
     // A less precise measurement is less informative.
     let wide = Posterior::of((&emulator).into(), &measured(8.0), 400, 1);
     let width = |p: &Posterior| summary::sd(&p.repose_deg).unwrap();
     assert!(width(&wide) > 2.0 * width(&posterior) && wide.effective > posterior.effective);
     // An exact measurement is matched exactly.
-    let exact = Posterior::of((&emulator).into(), &Flowability { repose_deg: 33.0, sd_deg: 0.0, n: 1 }, 100, 1);
+    let exact = Posterior::of(
+        (&emulator).into(),
+        &Flowability { repose_deg: 33.0, sd_deg: 0.0, n: 1 },
+        100,
+        1,
+    );
     assert!(exact.repose_deg.iter().all(|deg| *deg == 33.0));
 }
 
@@ -317,10 +380,14 @@ fn the_published_method_ends_with_ten_solutions_below_one_degree_and_verifies_wh
     let settings = Settings { seed: 4, ..Settings::of(Method::Paper) };
     let (trials, found) = published(&settings, 36.03);
     let search: Vec<&Trial> = trials.iter().filter(|t| t.phase == Phase::Search).collect();
-    let solutions = |trials: &[&Trial]| trials.iter().filter(|t| t.error_deg.unwrap() < 1.0).count();
+    let solutions =
+        |trials: &[&Trial]| trials.iter().filter(|t| t.error_deg.unwrap() < 1.0).count();
     assert_eq!(solutions(&search), 10, "it ends with the tenth");
     assert!(search.last().unwrap().error_deg.unwrap() < 1.0 && search.len() <= 150);
-    assert!(found.sets.len() == 10 && found.sets.iter().all(|set| set.error_deg <= 1.5 && set.runs == 8));
+    assert!(
+        found.sets.len() == 10
+            && found.sets.iter().all(|set| set.error_deg <= 1.5 && set.runs == 8)
+    );
     assert_eq!(found.verification_runs, 80);
     assert!(trials[search.len()..].iter().all(|t| t.phase == Phase::Verification));
     // One lucky heap chose each set; fresh heaps show its true error.
@@ -332,7 +399,8 @@ fn the_published_method_ends_with_ten_solutions_below_one_degree_and_verifies_wh
 #[test]
 fn without_solutions_the_published_bounds_shrink_to_the_best_tenth_until_nothing_is_left() {
     // No angle of the formula is near 80 deg.
-    let settings = Settings { stagnation: 15, trials_max: 90, initial: 10, ..Settings::of(Method::Paper) };
+    let settings =
+        Settings { stagnation: 15, trials_max: 90, initial: 10, ..Settings::of(Method::Paper) };
     let (trials, found) = published(&settings, 80.0);
     assert!(found.sets.is_empty() && found.shortfall.is_some());
     let range = |trials: &[Trial]| {
@@ -341,14 +409,21 @@ fn without_solutions_the_published_bounds_shrink_to_the_best_tenth_until_nothing
         best.truncate(trials.len().div_ceil(10).max(2));
         let points: Vec<_> = best.iter().map(|t| t.parameters.to_unit()).collect();
         let side = |k: usize| points.iter().map(move |p| p[k]);
-        std::array::from_fn::<[f64; 2], COUNT, _>(|k| [side(k).fold(1.0, f64::min), side(k).fold(0.0, f64::max)])
+        std::array::from_fn::<[f64; 2], COUNT, _>(|k| {
+            [side(k).fold(1.0, f64::min), side(k).fold(0.0, f64::max)]
+        })
     };
     let mut shrunk = 0;
     for after in (15..trials.len()).step_by(15) {
         let bounds = range(&trials[..after]);
         for trial in &trials[after..(after + 15).min(trials.len())] {
             let point = trial.parameters.to_unit();
-            assert!(point.iter().zip(bounds).all(|(x, [low, high])| (low - 1e-5..=high + 1e-5).contains(x)));
+            assert!(
+                point
+                    .iter()
+                    .zip(bounds)
+                    .all(|(x, [low, high])| (low - 1e-5..=high + 1e-5).contains(x))
+            );
         }
         shrunk += 1;
     }
@@ -361,23 +436,26 @@ fn sets_verified_in_larger_heaps_have_the_angle_there_and_the_shift_between_the_
     let target = Flowability { repose_deg: 33.0, sd_deg: 2.0, n: 5 };
     let settings = Settings { verify_particles: Some(8000), ..settings(4) };
     let mut trials = Vec::new();
-    let whole = calibrate(&target, &settings, Some((&emulator).into()), &[], formula, |trial, _| {
-        trials.push(trial.clone());
-        ControlFlow::Continue(())
-    })
-    .unwrap();
+    let whole =
+        calibrate(&target, &settings, Some((&emulator).into()), &[], formula, |trial, _| {
+            trials.push(trial.clone());
+            ControlFlow::Continue(())
+        })
+        .unwrap();
     assert_eq!(whole.sets.len(), 10);
     let there = |set: &ParameterSet| clean_deg(set) - flatter_deg(set, 8000);
     let angles: Vec<f64> = whole.sets.iter().map(|set| there(&set.parameters)).collect();
     assert!((summary::mean(&angles).unwrap() - 33.0).abs() < 0.3, "{angles:?}");
-    let shifts: Vec<f64> = whole.sets.iter().map(|set| -flatter_deg(&set.parameters, 8000)).collect();
+    let shifts: Vec<f64> =
+        whole.sets.iter().map(|set| -flatter_deg(&set.parameters, 8000)).collect();
     assert!((whole.size_shift_deg.unwrap() - summary::mean(&shifts).unwrap()).abs() < 0.3);
     // The pilots miss by the shift; hardly any set after them does.
     let wasted = whole.verification_runs / settings.verify_repeats - 10;
     assert!((1..=4).contains(&wasted), "{wasted} sets verified for nothing");
-    let resumed = calibrate(&target, &settings, Some((&emulator).into()), &trials[..25], formula, |_, _| {
-        ControlFlow::Continue(())
-    });
+    let resumed =
+        calibrate(&target, &settings, Some((&emulator).into()), &trials[..25], formula, |_, _| {
+            ControlFlow::Continue(())
+        });
     assert_eq!(resumed.unwrap(), whole);
     // Heaps of one size have no shift, and out of reach stays out of reach.
     assert_eq!(run(&emulator, 33.0, &self::settings(4)).size_shift_deg, None);

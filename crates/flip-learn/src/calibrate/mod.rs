@@ -157,13 +157,17 @@ pub fn calibrate<E: Display + Send>(
         let round = match (settings.method, &knowledge) {
             (Method::Sequential, _) => plan(&trials, &target, &settings),
             (Method::Paper, _) => paper::plan(&trials, &settings),
-            (Method::Emulator, Some(knowledge)) => amortised::plan(&trials, &target, &settings, knowledge),
+            (Method::Emulator, Some(knowledge)) => {
+                amortised::plan(&trials, &target, &settings, knowledge)
+            }
             (Method::Emulator, None) => return Err(Error::NoEmulator),
         };
         if round.is_empty() {
             return match history.len() > trials.len() {
                 true => Err(Error::History { index: trials.len() as u32 }),
-                false => conclude(&trials, &target, &settings, knowledge.map(|known| known.emulator)),
+                false => {
+                    conclude(&trials, &target, &settings, knowledge.map(|known| known.emulator))
+                }
             };
         }
         for batch in round.chunks(CHUNK.max(settings.batch as usize)) {
@@ -210,10 +214,18 @@ fn plan(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<Plan
     let mut rng = Pcg64::seed_from_u64(derive(settings.seed, &[PROPOSALS, trials.len() as u64]));
     let search = |points: Vec<space::Point>| {
         let indexed = (trials.len() as u32..).zip(points);
-        indexed.map(|(index, point)| Planned::search(index, space::parameters_at(&point), settings.seed)).collect()
+        indexed
+            .map(|(index, point)| {
+                Planned::search(index, space::parameters_at(&point), settings.seed)
+            })
+            .collect()
     };
     if trials.is_empty() {
-        return search(maximin_latin_hypercube((settings.initial as usize).min(left), 50, &mut rng));
+        return search(maximin_latin_hypercube(
+            (settings.initial as usize).min(left),
+            50,
+            &mut rng,
+        ));
     }
     let batch = (settings.batch as usize).min(left);
     let Some(belief) = Belief::of(trials, target.repose_deg) else {
@@ -227,7 +239,9 @@ fn plan(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<Plan
     if chosen.is_empty() {
         return search(propose::propose(belief, trials, points, settings, batch, &mut rng));
     }
-    let runs = chosen.into_iter().flat_map(|c| (1..=repeats).map(move |r| Planned::verification(c, r, settings)));
+    let runs = chosen
+        .into_iter()
+        .flat_map(|c| (1..=repeats).map(move |r| Planned::verification(c, r, settings)));
     runs.collect()
 }
 
@@ -238,15 +252,19 @@ fn conclude(
     emulator: Option<&Emulator>,
 ) -> Result<Calibration, Error> {
     let shift = emulator.and_then(|emulator| amortised::size_shift(trials, settings, emulator));
-    let calibration = Calibration { size_shift_deg: shift.map(trial::micro), ..summarised(trials, target, settings) };
+    let calibration = Calibration {
+        size_shift_deg: shift.map(trial::micro),
+        ..summarised(trials, target, settings)
+    };
     if calibration.sets.len() >= settings.sets as usize {
         return Ok(calibration);
     }
     let shortfall = match (settings.method, emulator) {
-        (Method::Emulator, Some(emulator)) => amortised::shortfall(trials, target, settings, emulator),
-        (Method::Paper, _) => {
-            nearest(trials).map(|nearest_repose_deg| Shortfall { nearest_repose_deg, limiting_parameter: None })
+        (Method::Emulator, Some(emulator)) => {
+            amortised::shortfall(trials, target, settings, emulator)
         }
+        (Method::Paper, _) => nearest(trials)
+            .map(|nearest_repose_deg| Shortfall { nearest_repose_deg, limiting_parameter: None }),
         _ => None,
     };
     if shortfall.is_some() {

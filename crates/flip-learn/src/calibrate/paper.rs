@@ -49,13 +49,18 @@ pub(super) fn plan(trials: &[Trial], settings: &Settings) -> Vec<Planned> {
         return state.next(trials, settings).into_iter().collect();
     }
     let kept = kept(trials, settings).into_iter();
-    let runs = kept
-        .flat_map(|trial| (1..=settings.verify_repeats).map(|repeat| Planned::verification(trial, repeat, settings)));
+    let runs = kept.flat_map(|trial| {
+        (1..=settings.verify_repeats).map(|repeat| Planned::verification(trial, repeat, settings))
+    });
     runs.collect()
 }
 
 /// The retained sets, best first, each with its verification result.
-pub(super) fn sets(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<CalibratedSet> {
+pub(super) fn sets(
+    trials: &[Trial],
+    target: &Flowability,
+    settings: &Settings,
+) -> Vec<CalibratedSet> {
     let verified = |trial: &Trial| {
         let set = verdict(trial.index, trials, target, settings)?;
         Some(CalibratedSet { error_deg: trial.error_deg?, ..set })
@@ -73,9 +78,13 @@ fn kept<'a>(trials: &'a [Trial], settings: &Settings) -> Vec<&'a Trial> {
 
 /// Search trials that produced a heap, least error first.
 fn ranked(trials: &[Trial]) -> Vec<&Trial> {
-    let mut ranked: Vec<&Trial> =
-        trials.iter().filter(|trial| trial.phase == Phase::Search && trial.error_deg.is_some()).collect();
-    ranked.sort_by(|a, b| f64::total_cmp(&a.error_deg.unwrap_or(f64::MAX), &b.error_deg.unwrap_or(f64::MAX)));
+    let mut ranked: Vec<&Trial> = trials
+        .iter()
+        .filter(|trial| trial.phase == Phase::Search && trial.error_deg.is_some())
+        .collect();
+    ranked.sort_by(|a, b| {
+        f64::total_cmp(&a.error_deg.unwrap_or(f64::MAX), &b.error_deg.unwrap_or(f64::MAX))
+    });
     ranked
 }
 
@@ -101,7 +110,8 @@ impl State {
             }
         }
         let exhausted = bounds.iter().all(|[low, high]| high - low < EXHAUSTED);
-        let over = exhausted || solutions >= settings.sets || searched >= settings.trials_max as usize;
+        let over =
+            exhausted || solutions >= settings.sets || searched >= settings.trials_max as usize;
         (!over).then_some(Self { bounds })
     }
 
@@ -120,15 +130,20 @@ impl State {
 
     /// The point with the largest expected improvement within the bounds.
     fn most_promising(&self, trials: &[Trial], settings: &Settings) -> Point {
-        let mut rng = Pcg64::seed_from_u64(derive(settings.seed, &[super::PROPOSALS, trials.len() as u64]));
+        let mut rng =
+            Pcg64::seed_from_u64(derive(settings.seed, &[super::PROPOSALS, trials.len() as u64]));
         let within = |point: Point| {
-            std::array::from_fn(|k| self.bounds[k][0] + point[k] * (self.bounds[k][1] - self.bounds[k][0]))
+            std::array::from_fn(|k| {
+                self.bounds[k][0] + point[k] * (self.bounds[k][1] - self.bounds[k][0])
+            })
         };
         let pool: Vec<Point> = latin_hypercube(POOL, &mut rng).into_iter().map(within).collect();
         let seen = ranked(trials);
         let inputs: Vec<Point> = seen.iter().map(|trial| trial.parameters.to_unit()).collect();
         let errors: Vec<f64> = seen.iter().filter_map(|trial| trial.error_deg).collect();
-        let Ok(error) = GaussianProcess::fit(&inputs, &errors, &Prior::default()) else { return pool[0] };
+        let Ok(error) = GaussianProcess::fit(&inputs, &errors, &Prior::default()) else {
+            return pool[0];
+        };
         let least = errors.first().copied().unwrap_or(0.0);
         let worth = |point: &Point| improvement(error.predict(point), least);
         let order = |a: &Point, b: &Point| worth(a).total_cmp(&worth(b));
@@ -149,7 +164,8 @@ fn improvement(at: Prediction, least: f64) -> f64 {
 fn range(trials: &[Trial]) -> [[f64; 2]; COUNT] {
     let ranked = ranked(trials);
     let best = ((BEST * ranked.len() as f64).ceil() as usize).max(2).min(ranked.len());
-    let points: Vec<Point> = ranked[..best].iter().map(|trial| trial.parameters.to_unit()).collect();
+    let points: Vec<Point> =
+        ranked[..best].iter().map(|trial| trial.parameters.to_unit()).collect();
     std::array::from_fn(|k| {
         let sides = points.iter().map(|point| point[k]);
         [sides.clone().fold(1.0, f64::min), sides.fold(0.0, f64::max)]

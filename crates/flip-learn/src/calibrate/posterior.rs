@@ -115,14 +115,25 @@ impl<'a> Prior<'a> {
     pub fn of(knowledge: Knowledge<'a>, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[POINTS]));
         let points: Vec<Point> = latin_hypercube(POOL, &mut rng);
-        let pool: Vec<(usize, Point, f64)> =
-            points.into_iter().enumerate().map(|(k, point)| (k, point, normal(rng.random()))).collect();
+        let pool: Vec<(usize, Point, f64)> = points
+            .into_iter()
+            .enumerate()
+            .map(|(k, point)| (k, point, normal(rng.random())))
+            .collect();
         let know = |(k, point, z): (usize, Point, f64)| {
             let set = space::parameters_at(&point);
             let at = knowledge.emulator.expect(&set).mean;
-            let drawn =
-                |c: usize| normal((derive(seed, &[POINTS, k as u64, c as u64]) >> 11) as f64 / (1u64 << 53) as f64);
-            let others = knowledge.channels.iter().enumerate().map(|(c, channel)| likelihood(channel, &set, drawn(c)));
+            let drawn = |c: usize| {
+                normal(
+                    (derive(seed, &[POINTS, k as u64, c as u64]) >> 11) as f64
+                        / (1u64 << 53) as f64,
+                )
+            };
+            let others = knowledge
+                .channels
+                .iter()
+                .enumerate()
+                .map(|(c, channel)| likelihood(channel, &set, drawn(c)));
             Known { set, mean: at.mean, sd: at.sd, z, others: others.sum() }
         };
         Self { knowledge, points: pool.into_par_iter().map(know).collect(), rng }
@@ -130,10 +141,12 @@ impl<'a> Prior<'a> {
 
     /// Draws `count` points given a measurement.
     pub fn given(&self, measured: &Flowability, count: usize) -> Posterior {
-        let weighed: Vec<(f64, f64)> = self.points.iter().map(|point| point.weigh(measured)).collect();
+        let weighed: Vec<(f64, f64)> =
+            self.points.iter().map(|point| point.weigh(measured)).collect();
         let largest = weighed.iter().map(|point| point.1).fold(f64::NEG_INFINITY, f64::max);
         let weights: Vec<f64> = weighed.iter().map(|point| (point.1 - largest).exp()).collect();
-        let (sum, squares) = weights.iter().fold((0.0, 0.0), |(sum, squares), w| (sum + w, squares + w * w));
+        let (sum, squares) =
+            weights.iter().fold((0.0, 0.0), |(sum, squares), w| (sum + w, squares + w * w));
         let drawn = resample(&weights, sum, count, self.rng.clone().random());
         let draws: Vec<[f64; COUNT]> = drawn.iter().map(|k| self.points[*k].set.values()).collect();
         Posterior {
@@ -204,7 +217,8 @@ fn marginal(k: usize, draws: &[[f64; COUNT]], knowledge: &Knowledge<'_>) -> Marg
     let parameter = &PARAMETERS[k];
     let mut values = column(draws, k);
     values.sort_by(f64::total_cmp);
-    let quantile = |share: f64| values[((share * values.len() as f64) as usize).min(values.len() - 1)];
+    let quantile =
+        |share: f64| values[((share * values.len() as f64) as usize).min(values.len() - 1)];
     let variance = summary::sd(&values).unwrap_or(0.0).powi(2);
     Marginal {
         key: parameter.key.to_owned(),
@@ -246,10 +260,12 @@ fn together(draws: &[[f64; COUNT]]) -> Vec<Pair> {
 
 /// Pearson correlation; 0 if one of the two does not vary.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let (Some(ma), Some(mb), Some(sa), Some(sb)) = (summary::mean(a), summary::mean(b), summary::sd(a), summary::sd(b))
+    let (Some(ma), Some(mb), Some(sa), Some(sb)) =
+        (summary::mean(a), summary::mean(b), summary::sd(a), summary::sd(b))
     else {
         return 0.0;
     };
-    let covariance = a.iter().zip(b).map(|(x, y)| (x - ma) * (y - mb)).sum::<f64>() / (a.len() as f64 - 1.0);
+    let covariance =
+        a.iter().zip(b).map(|(x, y)| (x - ma) * (y - mb)).sum::<f64>() / (a.len() as f64 - 1.0);
     if sa * sb > 0.0 { covariance / (sa * sb) } else { 0.0 }
 }

@@ -39,7 +39,9 @@ impl Belief {
         let angle = GaussianProcess::fit(&seen, &angles, &Prior::default()).ok()?;
         let labels: Vec<f64> = tips.iter().map(|tip| f64::from(tip.is_some())).collect();
         let refused = labels.contains(&0.0);
-        let heaps = refused.then(|| GaussianProcess::fit(&points, &labels, &Prior::default()).ok()).flatten();
+        let heaps = refused
+            .then(|| GaussianProcess::fit(&points, &labels, &Prior::default()).ok())
+            .flatten();
         Some(Self { angle, heaps, target_deg })
     }
 
@@ -48,7 +50,11 @@ impl Belief {
     pub fn probability_within(&self, point: &Point, tolerance_deg: f64, runs: u32) -> f64 {
         let Prediction { mean, sd } = self.angle.predict(point);
         let noise_sd = self.angle.hyperparameters().noise_sd / f64::from(runs).sqrt();
-        probability_within(Prediction { mean, sd: sd.hypot(noise_sd) }, self.target_deg, tolerance_deg)
+        probability_within(
+            Prediction { mean, sd: sd.hypot(noise_sd) },
+            self.target_deg,
+            tolerance_deg,
+        )
     }
 
     /// Distance of the posterior mean from the target, degrees.
@@ -73,7 +79,8 @@ impl Belief {
     /// The last factor keeps the sets apart; a copy of an accepted set has no value.
     fn worth(&self, point: &Point, incumbent_deg: f64, taken: &[Point]) -> f64 {
         let gain = expected_improvement(self.angle.predict(point), self.target_deg, incumbent_deg);
-        let nearest = taken.iter().map(|other| distance(point, other)).fold(f64::INFINITY, f64::min);
+        let nearest =
+            taken.iter().map(|other| distance(point, other)).fold(f64::INFINITY, f64::min);
         gain * self.probability_of_heap(point) * (1.0 - (-(nearest / ALIKE).powi(2)).exp())
     }
 }
@@ -111,12 +118,19 @@ fn most_worth(belief: &Belief, incumbent_deg: f64, taken: &[Point], rng: &mut im
         let worth = belief.worth(&point, incumbent_deg, taken);
         (point, worth, -belief.expected_error_deg(&point))
     };
-    let better = |a: &(Point, f64, f64), b: &(Point, f64, f64)| a.1.total_cmp(&b.1).then(a.2.total_cmp(&b.2));
+    let better = |a: &(Point, f64, f64), b: &(Point, f64, f64)| {
+        a.1.total_cmp(&b.1).then(a.2.total_cmp(&b.2))
+    };
     let pool = latin_hypercube(POOL, rng).into_iter().map(rated);
     let mut best = pool.max_by(better).expect("the pool is not empty");
     for reach in REACHES {
         let around: Vec<Point> = (0..AROUND).map(|_| nearby(&best.0, reach, rng)).collect();
-        best = around.into_iter().map(rated).chain([best]).max_by(better).expect("holds the best so far");
+        best = around
+            .into_iter()
+            .map(rated)
+            .chain([best])
+            .max_by(better)
+            .expect("holds the best so far");
     }
     best.0
 }

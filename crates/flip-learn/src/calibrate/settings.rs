@@ -107,14 +107,22 @@ impl Settings {
         match method {
             Method::Sequential => default,
             Method::Paper => Self { verify_repeats: 8, readings: 4, batch: 1, ..default },
-            Method::Emulator => Self { tolerance_deg: 0.5, trials_max: 300, verify_repeats: 8, readings: 4, ..default },
+            Method::Emulator => Self {
+                tolerance_deg: 0.5,
+                trials_max: 300,
+                verify_repeats: 8,
+                readings: 4,
+                ..default
+            },
         }
     }
 
     /// Default maximum number of simulations for these settings: see `trials_max`.
     pub fn budget(&self) -> u32 {
         match self.method {
-            Method::Emulator => self.sets.saturating_mul(self.verify_repeats).saturating_mul(3).clamp(300, 20_000),
+            Method::Emulator => {
+                self.sets.saturating_mul(self.verify_repeats).saturating_mul(3).clamp(300, 20_000)
+            }
             Method::Paper | Method::Sequential => self.trials_max,
         }
     }
@@ -133,9 +141,13 @@ impl Settings {
     /// # Errors
     /// The first setting that is out of bounds, by name.
     pub fn checked(self) -> Result<Self, FieldError> {
-        let count = |field, value: u32, lower: u32, upper: u32| match (lower..=upper).contains(&value) {
+        let count = |field, value: u32, lower: u32, upper: u32| match (lower..=upper)
+            .contains(&value)
+        {
             true => Ok(()),
-            false => Err(FieldError::new(field, format!("must be from {lower} to {upper}, got {value}"))),
+            false => {
+                Err(FieldError::new(field, format!("must be from {lower} to {upper}, got {value}")))
+            }
         };
         count("sets", self.sets, 1, 100)?;
         bounded("tolerance_deg", self.tolerance_deg, 0.1, 10.0, "deg")?;

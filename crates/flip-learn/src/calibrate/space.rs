@@ -33,7 +33,8 @@ mod tests {
         for point in latin_hypercube(500, &mut Pcg64::seed_from_u64(1)) {
             let set = parameters_at(&point);
             assert!(set.to_unit().iter().zip(point).all(|(a, b)| (a - b).abs() < 1e-5));
-            let back: ParameterSet = serde_json::from_str(&serde_json::to_string(&set).unwrap()).unwrap();
+            let back: ParameterSet =
+                serde_json::from_str(&serde_json::to_string(&set).unwrap()).unwrap();
             assert_eq!(back, set);
         }
     }

@@ -96,7 +96,9 @@ fn random_search_needs_several_times_as_many_simulations() {
         spent += 1;
         if (tip(0) - powder.repose_deg).abs() <= settings.tolerance_deg {
             spent += 2;
-            sets += u32::from(((tip(1) + tip(2)) / 2.0 - powder.repose_deg).abs() <= settings.tolerance_deg);
+            sets += u32::from(
+                ((tip(1) + tip(2)) / 2.0 - powder.repose_deg).abs() <= settings.tolerance_deg,
+            );
         }
         if sets == settings.sets {
             break;
@@ -126,12 +128,17 @@ fn a_run_cut_after_any_trial_and_resumed_ends_with_the_same_bytes_at_any_number_
                 heard.push(trial.clone());
                 ControlFlow::Continue(())
             };
-            let resumed = pool.install(|| calibrate(&target(36.03), &few(), None, &history, counted, hear)).unwrap();
+            let resumed = pool
+                .install(|| calibrate(&target(36.03), &few(), None, &history, counted, hear))
+                .unwrap();
             assert_eq!(serde_json::to_string(&resumed).unwrap(), expected, "cut after {cut}");
             assert!(heard == whole, "another history after a cut at {cut}");
             let asked = asked.into_inner().unwrap();
             assert_eq!(asked.len(), whole.len() - cut);
-            assert!(history.iter().all(|trial| !asked.contains(&trial.seed)), "a trial was simulated again");
+            assert!(
+                history.iter().all(|trial| !asked.contains(&trial.seed)),
+                "a trial was simulated again"
+            );
         }
     }
 }
@@ -165,7 +172,9 @@ fn trials_are_numbered_without_gaps_and_no_two_share_a_seed() {
     let result = result.unwrap();
     assert_eq!((result.evaluations + result.verification_runs) as usize, trials.len());
     for set in &result.sets {
-        let fresh = trials.iter().filter(|t| t.phase == Phase::Verification && t.parameters == set.parameters);
+        let fresh = trials
+            .iter()
+            .filter(|t| t.phase == Phase::Verification && t.parameters == set.parameters);
         let tips: Vec<f64> = fresh.filter_map(|t| t.outcome.tip_deg()).collect();
         assert_eq!(summary::mean(&tips), Some(set.repose_deg));
     }
@@ -244,12 +253,21 @@ fn refused_simulations_are_recorded_and_then_avoided() {
 #[test]
 fn a_target_out_of_reach_is_explained_with_the_nearest_angle() {
     let settings = Settings { trials_max: 40, ..Settings::default() };
-    let Err(Error::TooFew(short)) = run(82.0, &settings) else { panic!("82 deg cannot be reached") };
+    let Err(Error::TooFew(short)) = run(82.0, &settings) else {
+        panic!("82 deg cannot be reached")
+    };
     assert_eq!((short.partial.sets.len(), short.partial.evaluations), (0, 40));
     // The formula's largest value is 72.5 deg.
-    assert!(short.nearest_deg.is_some_and(|deg| (66.0..76.0).contains(&deg)), "{:?}", short.nearest_deg);
+    assert!(
+        short.nearest_deg.is_some_and(|deg| (66.0..76.0).contains(&deg)),
+        "{:?}",
+        short.nearest_deg
+    );
     let text = short.to_string();
-    assert!(text.contains("found 0 of 10 sets within 1.5 deg of 82.00 deg in 40 simulations"), "{text}");
+    assert!(
+        text.contains("found 0 of 10 sets within 1.5 deg of 82.00 deg in 40 simulations"),
+        "{text}"
+    );
     assert!(text.contains("nearest angle reached was"), "{text}");
 }
 
@@ -257,7 +275,9 @@ fn a_target_out_of_reach_is_explained_with_the_nearest_angle() {
 fn a_small_budget_is_kept_to_the_last_run() {
     for trials_max in [1, 2, 7, 8, 9, 13, 21, 30] {
         let settings = Settings { trials_max, ..Settings::default() };
-        let Err(Error::TooFew(short)) = run(36.03, &settings) else { panic!("ten sets need more than {trials_max}") };
+        let Err(Error::TooFew(short)) = run(36.03, &settings) else {
+            panic!("ten sets need more than {trials_max}")
+        };
         assert_eq!(short.partial.evaluations + short.partial.verification_runs, trials_max);
     }
 }
@@ -285,7 +305,10 @@ fn a_number_that_is_none_now_and_then_never_reaches_a_result() {
     let (trials, result) = recorded(&few(), broken);
     assert!(trials.iter().any(|t| t.error_deg.is_none()), "the test needs a refusal");
     let result = result.unwrap();
-    assert!(result.mean_error_deg.unwrap().is_finite() && result.sets.iter().all(|s| s.repose_deg.is_finite()));
+    assert!(
+        result.mean_error_deg.unwrap().is_finite()
+            && result.sets.iter().all(|s| s.repose_deg.is_finite())
+    );
 }
 
 #[test]
@@ -294,7 +317,10 @@ fn a_history_of_another_calibration_is_refused_by_its_first_foreign_trial() {
     let resume = |deg, settings: &Settings, history: &[Trial]| {
         calibrate(&target(deg), settings, None, history, formula, |_, _| ControlFlow::Continue(()))
     };
-    assert_eq!(resume(36.03, &Settings { seed: 4, ..few() }, &trials), Err(Error::History { index: 0 }));
+    assert_eq!(
+        resume(36.03, &Settings { seed: 4, ..few() }, &trials),
+        Err(Error::History { index: 0 })
+    );
     // The first design is the same for every target, later rounds are not.
     assert!(matches!(resume(28.0, &few(), &trials), Err(Error::History { index }) if index >= 6));
     let mut gap = trials.clone();

@@ -57,12 +57,14 @@ impl Outcome {
     /// through JSON, which a resumed calibration depends on.
     pub(super) fn of(answer: Result<Heap, String>) -> Self {
         match answer {
-            Ok(h) if [h.tip_deg, h.cone_deg, h.creep_deg_per_s].iter().all(|v| v.is_finite()) => Self::Heap(Heap {
-                tip_deg: micro(h.tip_deg),
-                tip_sd_deg: h.tip_sd_deg.filter(|sd| sd.is_finite()).map(micro),
-                cone_deg: micro(h.cone_deg),
-                creep_deg_per_s: micro(h.creep_deg_per_s),
-            }),
+            Ok(h) if [h.tip_deg, h.cone_deg, h.creep_deg_per_s].iter().all(|v| v.is_finite()) => {
+                Self::Heap(Heap {
+                    tip_deg: micro(h.tip_deg),
+                    tip_sd_deg: h.tip_sd_deg.filter(|sd| sd.is_finite()).map(micro),
+                    cone_deg: micro(h.cone_deg),
+                    creep_deg_per_s: micro(h.creep_deg_per_s),
+                })
+            }
             Ok(_) => Self::Refused("the simulated angle is not a number".to_owned()),
             Err(reason) => Self::Refused(reason),
         }
@@ -137,9 +139,20 @@ impl Planned {
 
     /// The `repeat`-th verification, from 1, of candidate `index`, which need not have been
     /// simulated before.
-    pub fn fresh(candidate: u32, parameters: ParameterSet, repeat: u32, settings: &Settings) -> Self {
+    pub fn fresh(
+        candidate: u32,
+        parameters: ParameterSet,
+        repeat: u32,
+        settings: &Settings,
+    ) -> Self {
         let seed = derive(settings.seed, &[u64::from(candidate), u64::from(repeat)]);
-        Self { phase: Phase::Verification, candidate, parameters, seed, readings: settings.readings }
+        Self {
+            phase: Phase::Verification,
+            candidate,
+            parameters,
+            seed,
+            readings: settings.readings,
+        }
     }
 
     /// Whether `trial` is this simulation's record.
@@ -151,7 +164,9 @@ impl Planned {
 
     /// The record of this simulation.
     pub fn concluded(self, index: u32, outcome: Outcome, target: Option<&Flowability>) -> Trial {
-        let error_deg = target.zip(outcome.tip_deg()).map(|(target, tip)| micro((tip - target.repose_deg).abs()));
+        let error_deg = target
+            .zip(outcome.tip_deg())
+            .map(|(target, tip)| micro((tip - target.repose_deg).abs()));
         let Self { phase, candidate, parameters, seed, readings } = self;
         Trial { index, phase, candidate, parameters, seed, readings, outcome, error_deg }
     }

@@ -14,8 +14,13 @@ use flip_core::stats::summary;
 const LIKELY: f64 = 0.6;
 
 /// Search trials that are likely to pass their verification and have had none yet, oldest first.
-pub(super) fn candidates<'a>(trials: &'a [Trial], belief: &Belief, settings: &Settings) -> Vec<&'a Trial> {
-    let verified = |c: &Trial| trials.iter().any(|t| t.phase == Phase::Verification && t.candidate == c.index);
+pub(super) fn candidates<'a>(
+    trials: &'a [Trial],
+    belief: &Belief,
+    settings: &Settings,
+) -> Vec<&'a Trial> {
+    let verified =
+        |c: &Trial| trials.iter().any(|t| t.phase == Phase::Verification && t.candidate == c.index);
     let likely = |c: &Trial| {
         let point = c.parameters.to_unit();
         belief.probability_within(&point, settings.tolerance_deg, settings.verify_repeats) >= LIKELY
@@ -48,7 +53,8 @@ pub(super) fn choose<'a>(
             let nearest = taken.iter().map(|other| distance(&point, other)).fold(3.0, f64::min);
             nearest * (1.0 - belief.expected_error_deg(&point) / (2.0 * settings.tolerance_deg))
         };
-        let order = |a: &usize, b: &usize| merit(&candidates[*a]).total_cmp(&merit(&candidates[*b]));
+        let order =
+            |a: &usize, b: &usize| merit(&candidates[*a]).total_cmp(&merit(&candidates[*b]));
         let Some(best) = (0..candidates.len()).max_by(order) else { break };
         let candidate = candidates.remove(best);
         taken.push(candidate.parameters.to_unit());
@@ -58,8 +64,14 @@ pub(super) fn choose<'a>(
 }
 
 /// The sets whose verification is complete, without a refusal, and within the tolerance on average.
-pub(super) fn verified(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<CalibratedSet> {
-    let sets = candidates_of(trials).into_iter().filter_map(|candidate| verdict(candidate, trials, target, settings));
+pub(super) fn verified(
+    trials: &[Trial],
+    target: &Flowability,
+    settings: &Settings,
+) -> Vec<CalibratedSet> {
+    let sets = candidates_of(trials)
+        .into_iter()
+        .filter_map(|candidate| verdict(candidate, trials, target, settings));
     sets.filter(|set| set.verified_error_deg <= settings.tolerance_deg).collect()
 }
 
@@ -82,8 +94,10 @@ pub(super) fn verdict(
     target: &Flowability,
     settings: &Settings,
 ) -> Option<CalibratedSet> {
-    let runs: Vec<&Trial> =
-        trials.iter().filter(|t| t.phase == Phase::Verification && t.candidate == candidate).collect();
+    let runs: Vec<&Trial> = trials
+        .iter()
+        .filter(|t| t.phase == Phase::Verification && t.candidate == candidate)
+        .collect();
     let tips: Vec<f64> = runs.iter().filter_map(|t| t.outcome.tip_deg()).collect();
     if tips.len() < settings.verify_repeats as usize {
         return None;

@@ -46,7 +46,8 @@ impl Adam {
         let correct2 = 1.0 - f64::from(B2).powf(self.t as f64);
         let size = (learning_rate / correct1) as f32;
         let scale = (1.0 / correct2.sqrt()) as f32;
-        for (((theta, g), m), v) in theta.iter_mut().zip(gradient).zip(&mut self.m).zip(&mut self.v) {
+        for (((theta, g), m), v) in theta.iter_mut().zip(gradient).zip(&mut self.m).zip(&mut self.v)
+        {
             *m = flushed(B1 * *m + (1.0 - B1) * g);
             *v = flushed(B2 * *v + (1.0 - B2) * g * g);
             *theta -= size * *m / (v.sqrt() * scale + EPS);

@@ -79,9 +79,12 @@ pub(super) fn encode(state: &State, levels: &[Level], settings: &Settings) -> Ve
         .chain([("replay", rows.as_slice()), ("replay.states", states.as_slice())])
         .map(|(name, block)| (name, block.iter().flat_map(|x| x.to_le_bytes()).collect()))
         .collect();
-    let views = bytes
-        .iter()
-        .map(|(name, b)| (*name, TensorView::new(Dtype::F32, vec![b.len() / 4], b).expect("the shape is the block's")));
+    let views = bytes.iter().map(|(name, b)| {
+        (
+            *name,
+            TensorView::new(Dtype::F32, vec![b.len() / 4], b).expect("the shape is the block's"),
+        )
+    });
     let text = serde_json::to_string(&header).expect("plain data");
     safetensors::serialize(views, Some(HashMap::from([(KEY.to_owned(), text)])))
         .expect("names differ, the header is small")
@@ -93,21 +96,26 @@ pub(super) fn encode(state: &State, levels: &[Level], settings: &Settings) -> Ve
 /// The problem, as readable text.
 pub(super) fn decode(bytes: &[u8], levels: &[Level], settings: &Settings) -> Result<State, String> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
-    let text = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).ok_or("it holds no training")?;
+    let text =
+        metadata.metadata().as_ref().and_then(|m| m.get(KEY)).ok_or("it holds no training")?;
     let header: Header = serde_json::from_str(text).map_err(|e| e.to_string())?;
     if header.version != VERSION {
         return Err(format!("it has layout {}, this version reads {VERSION}", header.version));
     }
     if header.training != fingerprint(levels, settings) {
-        return Err("it belongs to another training: levels, settings or simulator differ".to_owned());
+        return Err(
+            "it belongs to another training: levels, settings or simulator differ".to_owned()
+        );
     }
     let tensors = SafeTensors::deserialize(bytes).map_err(|e| e.to_string())?;
     let read = |name: &str| -> Result<Vec<f32>, String> {
         let tensor = tensors.tensor(name).map_err(|_| format!("`{name}` is missing"))?;
         match tensor.dtype() {
-            Dtype::F32 => {
-                Ok(tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
-            }
+            Dtype::F32 => Ok(tensor
+                .data()
+                .chunks_exact(4)
+                .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+                .collect()),
             other => Err(format!("`{name}` is {other:?}, not F32")),
         }
     };
@@ -134,6 +142,7 @@ pub(super) fn decode(bytes: &[u8], levels: &[Level], settings: &Settings) -> Res
         states: read("replay.states")?,
         oldest: header.oldest,
     };
-    let replay = Replay::from_plain(&plain, settings).ok_or("`replay` does not fit its capacity or its network")?;
+    let replay = Replay::from_plain(&plain, settings)
+        .ok_or("`replay` does not fit its capacity or its network")?;
     Ok(State { learner, replay, curriculum: header.curriculum, progress: header.progress })
 }

@@ -52,7 +52,8 @@ const CONDITIONS: u64 = 3;
 pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Planned {
     let seed = derive(settings.seed, &[stream::EPISODE, index.into()]);
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let target_mg = settings.target_mg_min + (settings.target_mg_max - settings.target_mg_min) * rng.random::<f64>();
+    let target_mg = settings.target_mg_min
+        + (settings.target_mg_max - settings.target_mg_min) * rng.random::<f64>();
     let level = match settings.order {
         Order::Random => rng.random_range(0..levels.len() as u32),
         Order::DomainRandomisation => 0,
@@ -67,13 +68,14 @@ pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Pl
         sets[rng.random_range(0..sets.len())]
     };
     let heap = rng.random_range(0..settings.fills_per_set);
-    let powder = levels.get(level as usize).filter(|_| !randomised).map(|level| level.powder.as_str());
-    let patch = settings
-        .extended
-        .as_ref()
-        .map_or_else(Patch::default, |extended| extended.drawn(powder, derive(seed, &[CONDITIONS])).clone());
+    let powder =
+        levels.get(level as usize).filter(|_| !randomised).map(|level| level.powder.as_str());
+    let patch = settings.extended.as_ref().map_or_else(Patch::default, |extended| {
+        extended.drawn(powder, derive(seed, &[CONDITIONS])).clone()
+    });
     let set = patch.powder(&set);
-    let repose_deg = levels.get(level as usize).filter(|_| !randomised).map(|level| level.repose_deg);
+    let repose_deg =
+        levels.get(level as usize).filter(|_| !randomised).map(|level| level.repose_deg);
     Planned { index, level, randomised, set, patch, heap, repose_deg, target_mg, rng, seed }
 }
 
@@ -95,7 +97,8 @@ pub fn play_round<F: Filling>(
                 return None;
             }
             if plan.index < settings.surrogate_episodes {
-                let spoon = Surrogate::new(settings.rules.pitch).fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
+                let spoon = Surrogate::new(settings.rules.pitch)
+                    .fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
                 let played = play_planned(&mut plan, spoon, actor, settings);
                 return Some((plan, played));
             }
@@ -110,7 +113,12 @@ pub fn play_round<F: Filling>(
         .collect()
 }
 
-fn play_planned(plan: &mut Planned, mut spoon: impl Spoon, actor: Option<&Actor>, settings: &Settings) -> Played {
+fn play_planned(
+    plan: &mut Planned,
+    mut spoon: impl Spoon,
+    actor: Option<&Actor>,
+    settings: &Settings,
+) -> Played {
     let (target_mg, seed, rng) = (plan.target_mg, plan.seed, &mut plan.rng);
     let begun = actor.map(Actor::begin).unwrap_or_default();
     let mut carried = Carried { repose_deg: plan.repose_deg, ..begun };
@@ -131,7 +139,11 @@ fn random_action(tilt: f32, rng: &mut Pcg64Mcg) -> [f32; OUTPUTS] {
 pub fn remembered(plan: &Planned, played: &Played, actor: &Actor, settings: &Settings) -> Episode {
     let parameters = plan.set.to_unit().map(|x| x as f32);
     let (target_mg, repose_deg) = (played.target_mg as f32, plan.repose_deg.unwrap_or(0.0) as f32);
-    let steps = played.steps.iter().map(|&step| Memory { step, target_mg, repose_deg, parameters }).collect();
+    let steps = played
+        .steps
+        .iter()
+        .map(|&step| Memory { step, target_mg, repose_deg, parameters })
+        .collect();
     Episode::new(steps, actor, settings)
 }
 
@@ -143,17 +155,27 @@ mod tests {
 
     #[test]
     fn days_change_the_powder_and_nothing_else_that_is_drawn() {
-        let sets = vec![ParameterSet::default(), ParameterSet::default().with("friction", 0.7).unwrap()];
+        let sets =
+            vec![ParameterSet::default(), ParameterSet::default().with("friction", 0.7).unwrap()];
         let levels = [Level { powder: "salt".into(), repose_deg: 36.0, sets }];
         let base = Settings { box_share: 0.3, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
-        let more = |cohesion: f64| Patch { parameters: [("cohesion".to_owned(), cohesion)].into(), ..Patch::default() };
+        let more = |cohesion: f64| Patch {
+            parameters: [("cohesion".to_owned(), cohesion)].into(),
+            ..Patch::default()
+        };
         let under = Under { simulator: "sv-1".into(), conditions: Default::default() };
         let powders = [("salt".to_owned(), vec![more(0.2), more(0.4)])].into();
-        let extended = Settings { extended: Some(Extended { under, days: vec![more(0.1)], powders }), ..base.clone() };
+        let extended = Settings {
+            extended: Some(Extended { under, days: vec![more(0.1)], powders }),
+            ..base.clone()
+        };
         let mut met = std::collections::BTreeSet::new();
         for index in 0..60 {
             let [a, b] = [&base, &extended].map(|settings| plan(index, 0, &levels, settings));
-            assert_eq!((a.target_mg, a.heap, a.randomised, a.seed), (b.target_mg, b.heap, b.randomised, b.seed));
+            assert_eq!(
+                (a.target_mg, a.heap, a.randomised, a.seed),
+                (b.target_mg, b.heap, b.randomised, b.seed)
+            );
             assert_eq!(a.set.friction(), b.set.friction());
             assert!(a.patch.is_none());
             let added = b.patch.parameters["cohesion"];
@@ -163,6 +185,9 @@ mod tests {
         }
         assert_eq!(met.into_iter().collect::<Vec<_>>(), [1, 2, 4]);
         let none = Extended { days: Vec::new(), ..extended.extended.clone().unwrap() };
-        assert_eq!(Settings { extended: Some(none), ..base }.checked().unwrap_err().field, "extended.days");
+        assert_eq!(
+            Settings { extended: Some(none), ..base }.checked().unwrap_err().field,
+            "extended.days"
+        );
     }
 }

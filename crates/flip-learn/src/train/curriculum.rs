@@ -116,7 +116,12 @@ impl Curriculum {
             return None;
         }
         let reason = self.reason()?;
-        self.switches.push(Switch { episode: self.episodes, from: self.level, to: self.level + 1, reason });
+        self.switches.push(Switch {
+            episode: self.episodes,
+            from: self.level,
+            to: self.level + 1,
+            reason,
+        });
         self.level += 1;
         self.queue.clear();
         self.on_level = 0;
@@ -145,13 +150,20 @@ mod tests {
         let mut curriculum = Curriculum::new(3, &Rule::default(), 4);
         let moves = |curriculum: &mut Curriculum, episodes| {
             (0..episodes).for_each(|_| _ = curriculum.record(curriculum.level(), 5.0));
-            curriculum.switches().iter().map(|s| (s.episode, s.from, s.to, s.reason)).collect::<Vec<_>>()
+            curriculum
+                .switches()
+                .iter()
+                .map(|s| (s.episode, s.from, s.to, s.reason))
+                .collect::<Vec<_>>()
         };
         moves(&mut curriculum, 10);
         curriculum.begin_again(2);
         let time_out = |episode, from| (episode, from, from + 1, SwitchReason::TimeOut);
         let back = (10, 2, 0, SwitchReason::Simulator);
-        assert_eq!(moves(&mut curriculum, 9), [time_out(4, 0), time_out(8, 1), back, time_out(12, 0), time_out(14, 1)]);
+        assert_eq!(
+            moves(&mut curriculum, 9),
+            [time_out(4, 0), time_out(8, 1), back, time_out(12, 0), time_out(14, 1)]
+        );
     }
 
     /// The episodes at which a curriculum of three levels moves if the errors follow `error`.
@@ -178,12 +190,18 @@ mod tests {
         // Never good: the time-out, on the first two levels only.
         assert_eq!(switches(4000, |_| 5.0), [(1330, 1, TimeOut), (2660, 2, TimeOut)]);
         // Good only late: moves once two large errors are left among 20, before the time-out.
-        assert_eq!(switches(1200, |k| if k < 1000 { 5.0 } else { 0.1 }), [(1018, 1, Mean), (1038, 2, Mean)]);
+        assert_eq!(
+            switches(1200, |k| if k < 1000 { 5.0 } else { 0.1 }),
+            [(1018, 1, Mean), (1038, 2, Mean)]
+        );
     }
 
     #[test]
     fn an_error_that_is_not_a_number_never_counts_as_good() {
-        assert_eq!(switches(30, |k| if k == 0 { f64::NAN } else { 0.1 }), [(21, 1, SwitchReason::Mean)]);
+        assert_eq!(
+            switches(30, |k| if k == 0 { f64::NAN } else { 0.1 }),
+            [(21, 1, SwitchReason::Mean)]
+        );
         assert_eq!(switches(1329, |_| f64::NAN), []);
         assert_eq!(switches(1330, |_| f64::NAN), [(1330, 1, SwitchReason::TimeOut)]);
     }

@@ -50,7 +50,8 @@ impl Filling for Simulated {
         Dispenser::new(set, &self.settings, seed)
     }
     fn fill_under(&self, set: &ParameterSet, patch: &Patch, seed: u64) -> Dispenser {
-        let extensions = self.settings.extensions.patched(patch).expect("checked before the training begins");
+        let extensions =
+            self.settings.extensions.patched(patch).expect("checked before the training begins");
         Dispenser::new(set, &dispense::Settings { extensions, ..self.settings }, seed)
     }
 }
@@ -135,11 +136,13 @@ pub fn play(
     mut propose: impl FnMut(&Observation) -> [f32; 2],
 ) -> Played {
     let noise = derive(seed, &[BALANCE]);
-    let read =
-        |before_mg: f64, after_mg: f64, index: u32| balance.read(before_mg, after_mg, noise, index.into()).mass_mg;
+    let read = |before_mg: f64, after_mg: f64, index: u32| {
+        balance.read(before_mg, after_mg, noise, index.into()).mass_mg
+    };
     let tare_mg = spoon.vial_mg();
     let mut true_mg = 0.0;
-    let mut seen = Observation { reading_mg: read(0.0, 0.0, 0), target_mg, pitch_deg: spoon.pitch_deg() };
+    let mut seen =
+        Observation { reading_mg: read(0.0, 0.0, 0), target_mg, pitch_deg: spoon.pitch_deg() };
     let (mut steps, mut sum, mut fell_mg) = (Vec::new(), 0.0, seen.reading_mg);
     let ending = loop {
         let action = propose(&seen);
@@ -150,7 +153,11 @@ pub fn play(
         let index = steps.len() as u32 + 1;
         let before_mg = true_mg;
         true_mg = spoon.vial_mg() - tare_mg;
-        let next = Observation { reading_mg: read(before_mg, true_mg, index), target_mg, pitch_deg: spoon.pitch_deg() };
+        let next = Observation {
+            reading_mg: read(before_mg, true_mg, index),
+            target_mg,
+            pitch_deg: spoon.pitch_deg(),
+        };
         steps.push(Step {
             fell_mg: fell_mg as f32,
             reading_mg: seen.reading_mg as f32,
@@ -168,7 +175,14 @@ pub fn play(
             ended => break ended,
         }
     };
-    Played { steps, target_mg, dispensed_mg: true_mg, reading_mg: seen.reading_mg, reward: sum, ending }
+    Played {
+        steps,
+        target_mg,
+        dispensed_mg: true_mg,
+        reading_mg: seen.reading_mg,
+        reward: sum,
+        ending,
+    }
 }
 
 /// The simulator's spoon for these settings.
@@ -183,7 +197,8 @@ mod tests {
 
     #[test]
     fn the_reward_is_the_published_one() {
-        for (target, true_mg, expected) in [(10.0, 10.0, 1.0), (10.0, 9.5, 0.5), (10.0, 9.0, -1.0), (10.0, 13.0, -3.0)]
+        for (target, true_mg, expected) in
+            [(10.0, 10.0, 1.0), (10.0, 9.5, 0.5), (10.0, 9.0, -1.0), (10.0, 13.0, -3.0)]
         {
             assert_eq!(reward(target, true_mg), expected);
         }
@@ -192,7 +207,11 @@ mod tests {
     #[test]
     fn an_extended_spoon_at_the_reference_is_the_base_in_every_bit_and_a_wet_one_is_not() {
         let filling = Simulated {
-            settings: dispense::Settings { particles: 600, pitch: PitchLimits::WIDE, ..Default::default() },
+            settings: dispense::Settings {
+                particles: 600,
+                pitch: PitchLimits::WIDE,
+                ..Default::default()
+            },
         };
         let set = ParameterSet::default();
         let pour = |mut spoon: Dispenser| {
@@ -214,19 +233,24 @@ mod tests {
 
     #[test]
     fn the_papers_episodes_have_ten_steps_and_ours_stop_on_target() {
-        let filling = Simulated { settings: dispense::Settings { pitch: PitchLimits::WIDE, ..Default::default() } };
+        let filling = Simulated {
+            settings: dispense::Settings { pitch: PitchLimits::WIDE, ..Default::default() },
+        };
         let filled = filling.fill(&ParameterSet::default(), 1);
-        let pour =
-            |rules: &Rules| play(&mut filled.clone(), rules, &balance::Settings::default(), 5.0, 2, |_| [1.0, 1.0]);
-        assert_eq!((pour(&Rules::PAPER).steps.len(), pour(&Rules::PAPER).ending), (10, Episode::TimedOut));
+        let pour = |rules: &Rules| {
+            play(&mut filled.clone(), rules, &balance::Settings::default(), 5.0, 2, |_| [1.0, 1.0])
+        };
+        assert_eq!(
+            (pour(&Rules::PAPER).steps.len(), pour(&Rules::PAPER).ending),
+            (10, Episode::TimedOut)
+        );
         let ours = pour(&Rules::FLIP);
         assert_eq!(ours.ending, Episode::Terminated);
         assert!(ours.steps.len() < 10 && ours.reading_mg > 4.0);
         assert_eq!(ours.steps.last().unwrap().next_reading_mg, ours.reading_mg as f32);
         assert!(
-            ours.steps
-                .windows(2)
-                .all(|w| w[0].next_reading_mg == w[1].reading_mg && w[0].next_pitch_deg == w[1].pitch_deg)
+            ours.steps.windows(2).all(|w| w[0].next_reading_mg == w[1].reading_mg
+                && w[0].next_pitch_deg == w[1].pitch_deg)
         );
     }
 }

@@ -53,7 +53,11 @@ pub(super) fn draw(ring: &Ring<Episode>, settings: &Settings, rng: &mut impl Rng
         course.extend([0.0; OUTPUTS]);
         for memory in &episode.steps {
             let ends = batch.push(memory, target_mg, settings);
-            memory.after(target_mg).encode_into(settings.encoding, &memory.known_after(), &mut course);
+            memory.after(target_mg).encode_into(
+                settings.encoding,
+                &memory.known_after(),
+                &mut course,
+            );
             course.extend(memory.step.action);
             if ends {
                 break;

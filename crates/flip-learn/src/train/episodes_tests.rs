@@ -46,7 +46,11 @@ fn episodes_are_given_back_whole_and_side_by_side() {
     let courses = batch.courses.unwrap();
     assert_eq!((courses.episodes, courses.inputs.len()), (300, 3 * 300 * 5));
     // The rows of an episode are consecutive: two steps for one of the longer kind.
-    let mut rows = courses.at.iter().zip(batch.now.chunks_exact(3 + COUNT + 2)).zip(batch.next.chunks_exact(3 + COUNT));
+    let mut rows = courses
+        .at
+        .iter()
+        .zip(batch.now.chunks_exact(3 + COUNT + 2))
+        .zip(batch.next.chunks_exact(3 + COUNT));
     let stored = courses.stored.unwrap();
     for (e, state) in stored.chunks_exact(8).enumerate() {
         let steps = state[0] as usize;
@@ -90,7 +94,12 @@ fn an_episode_asked_about_another_target_ends_where_it_would_have_ended() {
         };
         while row < batch.reward.len() && courses.at[row] as usize % 300 == e {
             let ends = row - first + 1 == expected && target_mg < 12.5;
-            assert_eq!(batch.goes_on[row], if ends { 0.0 } else { 1.0 }, "step {} of {target_mg} mg", row - first);
+            assert_eq!(
+                batch.goes_on[row],
+                if ends { 0.0 } else { 1.0 },
+                "step {} of {target_mg} mg",
+                row - first
+            );
             row += 1;
         }
         assert_eq!(row - first, expected, "{target_mg} mg");
@@ -98,7 +107,10 @@ fn an_episode_asked_about_another_target_ends_where_it_would_have_ended() {
     }
     // Targets are uniform over 2 to 15 mg: 3/13, 4/13 and 6/13 of 300; 4 SD are 35.
     assert!(
-        lengths.iter().zip([69, 92, 138]).all(|(n, expected): (&i32, i32)| (n - expected).abs() <= 35),
+        lengths
+            .iter()
+            .zip([69, 92, 138])
+            .all(|(n, expected): (&i32, i32)| (n - expected).abs() <= 35),
         "{lengths:?}"
     );
 }

@@ -158,7 +158,10 @@ pub fn evaluate<E: Send>(
                 for repeat in 0..plan.repeats {
                     // Seeded by the dose's content, not by its place in the plan: extending the
                     // plan changes none of the existing doses.
-                    let seed = derive(plan.seed, &[index_of(&subject.powder), target_mg.to_bits(), repeat.into()]);
+                    let seed = derive(
+                        plan.seed,
+                        &[index_of(&subject.powder), target_mg.to_bits(), repeat.into()],
+                    );
                     doses.push((contender, subject, target_mg, repeat, seed));
                 }
             }
@@ -197,9 +200,11 @@ fn summarise(plan: &Plan, trials: Vec<Trial>) -> Evaluation {
             Summary {
                 controller: all.controller,
                 mae_mg: all.mae_mg,
-                ci95: bootstrap_mean_interval(&errors, 0.95, RESAMPLES, plan.seed).unwrap_or([0.0; 2]),
+                ci95: bootstrap_mean_interval(&errors, 0.95, RESAMPLES, plan.seed)
+                    .unwrap_or([0.0; 2]),
                 sd_trials_mg: all.sd_mg,
-                sd_within_cells_mg: mean(&rows.iter().map(|row| row.sd_mg).collect::<Vec<_>>()).unwrap_or(0.0),
+                sd_within_cells_mg: mean(&rows.iter().map(|row| row.sd_mg).collect::<Vec<_>>())
+                    .unwrap_or(0.0),
                 bias_mg: all.bias_mg,
                 over_share: all.over_share,
                 zero_share: all.zero_share,
@@ -220,8 +225,11 @@ const RESAMPLES: usize = 2000;
 fn row(trials: &[Trial]) -> Row {
     let signed: Vec<f64> = trials.iter().map(error_mg).collect();
     let errors: Vec<f64> = signed.iter().map(|e| e.abs()).collect();
-    let mean_of = |of: fn(&Trial) -> f64| mean(&trials.iter().map(of).collect::<Vec<_>>()).unwrap_or(0.0);
-    let share = |test: &dyn Fn(&Trial) -> bool| trials.iter().filter(|t| test(t)).count() as f64 / trials.len() as f64;
+    let mean_of =
+        |of: fn(&Trial) -> f64| mean(&trials.iter().map(of).collect::<Vec<_>>()).unwrap_or(0.0);
+    let share = |test: &dyn Fn(&Trial) -> bool| {
+        trials.iter().filter(|t| test(t)).count() as f64 / trials.len() as f64
+    };
     Row {
         controller: trials[0].controller.clone(),
         powder: trials[0].powder.clone(),
@@ -247,9 +255,12 @@ mod tests {
     use flip_policy::ScheduledStep;
 
     fn plan() -> Plan {
-        let contender =
-            |name: &str| Contender { name: name.into(), controller: Controller::Fixed(ScheduledStep::FIXED) };
-        let sets = vec![ParameterSet::default(), ParameterSet::default().with("friction", 0.7).unwrap()];
+        let contender = |name: &str| Contender {
+            name: name.into(),
+            controller: Controller::Fixed(ScheduledStep::FIXED),
+        };
+        let sets =
+            vec![ParameterSet::default(), ParameterSet::default().with("friction", 0.7).unwrap()];
         let subject = |powder: &str| Subject { powder: powder.into(), sets: sets.clone() };
         Plan {
             contenders: vec![contender("a"), contender("b")],
@@ -268,24 +279,41 @@ mod tests {
 
     #[test]
     fn rows_and_summaries_have_the_numbers_one_gets_by_hand() {
-        let evaluation = evaluate(&plan(), |_, _, set, target, _| Ok::<_, ()>(weigh(set, target, 0.5))).unwrap();
-        assert_eq!((evaluation.rows.len(), evaluation.summary.len(), evaluation.trials.len()), (8, 2, 32));
+        let evaluation =
+            evaluate(&plan(), |_, _, set, target, _| Ok::<_, ()>(weigh(set, target, 0.5))).unwrap();
+        assert_eq!(
+            (evaluation.rows.len(), evaluation.summary.len(), evaluation.trials.len()),
+            (8, 2, 32)
+        );
         // Errors alternate between -0.5 and 1.5 mg.
         let row = &evaluation.rows[5];
-        assert_eq!((row.controller.as_str(), row.powder.as_str(), row.target_mg, row.n), ("b", "sand", 20.0, 4));
+        assert_eq!(
+            (row.controller.as_str(), row.powder.as_str(), row.target_mg, row.n),
+            ("b", "sand", 20.0, 4)
+        );
         assert_eq!(
             (row.mae_mg, row.bias_mg, row.over_share, row.zero_share, row.shakes_mean),
             (1.0, 0.5, 0.5, 0.0, 5.0)
         );
         assert!((row.sd_mg - (1.0f64 / 3.0).sqrt()).abs() < 1e-12);
         let summary = &evaluation.summary[0];
-        let all = (summary.bias_mg, summary.over_share, summary.zero_share, summary.shakes_mean, summary.seconds_mean);
+        let all = (
+            summary.bias_mg,
+            summary.over_share,
+            summary.zero_share,
+            summary.shakes_mean,
+            summary.seconds_mean,
+        );
         assert_eq!(all, (0.5, 0.5, 0.0, 5.0, 9.0));
         assert_eq!(row.seconds_mean, 9.0);
         assert!((summary.sd_within_cells_mg - (1.0f64 / 3.0).sqrt()).abs() < 1e-12);
         assert!((summary.sd_trials_mg - (16.0 * 0.25 / 15.0f64).sqrt()).abs() < 1e-12);
         // 16 errors of SD 0.5: the mean's standard error is 0.125, 95 % are about +-0.24.
-        assert!((0.6..=0.9).contains(&summary.ci95[0]) && (1.1..=1.4).contains(&summary.ci95[1]), "{:?}", summary.ci95);
+        assert!(
+            (0.6..=0.9).contains(&summary.ci95[0]) && (1.1..=1.4).contains(&summary.ci95[1]),
+            "{:?}",
+            summary.ci95
+        );
     }
 
     #[test]
@@ -307,7 +335,9 @@ mod tests {
     #[test]
     fn a_dose_meets_the_same_spoon_wherever_its_powder_and_target_stand_in_the_lists() {
         let trials = |plan: Plan| {
-            let weigh = |_: &_, _: &_, set: &_, target, seed: u64| Ok::<_, ()>(weigh(set, target, (seed >> 11) as f64));
+            let weigh = |_: &_, _: &_, set: &_, target, seed: u64| {
+                Ok::<_, ()>(weigh(set, target, (seed >> 11) as f64))
+            };
             evaluate(&plan, weigh).unwrap().trials
         };
         let all = trials(plan());
@@ -322,6 +352,9 @@ mod tests {
 
     #[test]
     fn an_error_of_the_bench_ends_the_evaluation() {
-        assert_eq!(evaluate(&plan(), |_, _, _, _, _| Err("the balance is silent")), Err("the balance is silent"));
+        assert_eq!(
+            evaluate(&plan(), |_, _, _, _, _| Err("the balance is silent")),
+            Err("the balance is silent")
+        );
     }
 }

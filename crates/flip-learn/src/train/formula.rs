@@ -50,9 +50,13 @@ impl Filling for Formula {
 
 impl Spoon for FormulaSpoon {
     fn step(&mut self, action: Action) {
-        self.pitch_deg = (self.pitch_deg + action.incline_change_deg).clamp(self.pitch.lower_deg, self.pitch.upper_deg);
+        self.pitch_deg = (self.pitch_deg + action.incline_change_deg)
+            .clamp(self.pitch.lower_deg, self.pitch.upper_deg);
         let share = self.rng.random_range(0.7..1.3);
-        let dose = 0.08 * action.executed_shake_mm() * (0.09 * (self.pitch_deg - 12.0 * self.friction)).exp() * share;
+        let dose = 0.08
+            * action.executed_shake_mm()
+            * (0.09 * (self.pitch_deg - 12.0 * self.friction)).exp()
+            * share;
         let dose = dose.min(self.left_mg);
         self.left_mg -= dose;
         self.vial_mg += dose;

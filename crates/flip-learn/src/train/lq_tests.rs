@@ -43,7 +43,8 @@ fn riccati() -> f64 {
 /// Temperature at which the best policy has the target entropy if the steps after this one cost
 /// `p |x|^2`.
 fn temperature(p: f64) -> f64 {
-    2.0 * (C + GAMMA * B * B * p) * ENTROPY.exp() / (2.0 * std::f64::consts::PI * std::f64::consts::E)
+    2.0 * (C + GAMMA * B * B * p) * ENTROPY.exp()
+        / (2.0 * std::f64::consts::PI * std::f64::consts::E)
 }
 
 fn square(v: [f64; 2]) -> f64 {
@@ -76,7 +77,9 @@ fn discounted(mut x: [f64; 2], policy: impl Fn([f64; 2]) -> [f64; 2]) -> f64 {
 }
 
 fn starts() -> impl Iterator<Item = [f64; 2]> {
-    (0..16).map(|k| (f64::from(k) * std::f64::consts::PI / 8.0).sin_cos()).map(|(s, c)| [RADIUS * c, RADIUS * s])
+    (0..16)
+        .map(|k| (f64::from(k) * std::f64::consts::PI / 8.0).sin_cos())
+        .map(|(s, c)| [RADIUS * c, RADIUS * s])
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
@@ -91,7 +94,9 @@ fn learned(settings: &Settings) -> Learner {
     let mut rng = Pcg64Mcg::seed_from_u64(settings.seed);
     let mut learner = Learner::new(settings, &mut rng);
     let inputs = settings.encoding.width();
-    let uniform = |rng: &mut Pcg64Mcg| -> [f64; 2] { std::array::from_fn(|_| 2.0 * rng.random::<f64>() - 1.0) };
+    let uniform = |rng: &mut Pcg64Mcg| -> [f64; 2] {
+        std::array::from_fn(|_| 2.0 * rng.random::<f64>() - 1.0)
+    };
     for update in 0..UPDATES {
         let mut batch = Batch::default();
         for _ in 0..settings.batch {
@@ -103,7 +108,8 @@ fn learned(settings: &Settings) -> Learner {
             batch.reward.push(reward as f32);
             batch.goes_on.push(1.0);
         }
-        let noise: Vec<f32> = (0..4 * settings.batch).map(|_| flip_policy::normal(&mut rng)).collect();
+        let noise: Vec<f32> =
+            (0..4 * settings.batch).map(|_| flip_policy::normal(&mut rng)).collect();
         let rate = settings.learning_rate * (1.0 - f64::from(update) / f64::from(UPDATES));
         learner.update(&batch, &noise, &Settings { learning_rate: rate, ..settings.clone() });
     }
@@ -115,7 +121,9 @@ fn the_riccati_gain_is_the_best_of_its_neighbours() {
     let p = riccati();
     let gain = GAMMA * B * p / (C + GAMMA * B * B * p);
     let of = |factor: f64| {
-        let policy = |x: [f64; 2]| std::array::from_fn(|k| -factor * gain * (A[k][0] * x[0] + A[k][1] * x[1]));
+        let policy = |x: [f64; 2]| {
+            std::array::from_fn(|k| -factor * gain * (A[k][0] * x[0] + A[k][1] * x[1]))
+        };
         mean(starts().map(|x| discounted(x, policy)))
     };
     assert!((of(1.0) + p * RADIUS * RADIUS).abs() < 1e-9, "{} {}", of(1.0), -p * RADIUS * RADIUS);
@@ -130,7 +138,10 @@ fn a_linear_system_with_quadratic_cost_is_controlled_as_the_riccati_equation_say
     let margin = temperature(p) / (1.0 - GAMMA);
     let best = -p * RADIUS * RADIUS;
     let idle = mean(starts().map(|x| discounted(x, |_| [0.0, 0.0])));
-    assert!(best - idle > 10.0 * margin, "the task is too easy: {idle} without any action, {best} with the best");
+    assert!(
+        best - idle > 10.0 * margin,
+        "the task is too easy: {idle} without any action, {best} with the best"
+    );
     // Temperatures of a policy that ignores the future, and of one that expects to do nothing after
     // this step.
     let temperatures = temperature(0.0)..temperature(-idle / (RADIUS * RADIUS));
@@ -152,8 +163,15 @@ fn a_linear_system_with_quadratic_cost_is_controlled_as_the_riccati_equation_say
             actor.forward(inputs, &mut actor.begin()).mean.map(|u| f64::from(u).tanh())
         };
         let reached = mean(starts().map(|x| discounted(x, policy)));
-        println!("seed {seed}: {reached:.4}, best {best:.4}, margin {margin:.4}, temperature {:.4}", learner.alpha());
+        println!(
+            "seed {seed}: {reached:.4}, best {best:.4}, margin {margin:.4}, temperature {:.4}",
+            learner.alpha()
+        );
         assert!(reached > best - margin, "seed {seed}: {reached}, best {best}, margin {margin}");
-        assert!(temperatures.contains(&learner.alpha()), "seed {seed}: {} not in {temperatures:?}", learner.alpha());
+        assert!(
+            temperatures.contains(&learner.alpha()),
+            "seed {seed}: {} not in {temperatures:?}",
+            learner.alpha()
+        );
     }
 }

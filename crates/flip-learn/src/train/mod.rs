@@ -45,8 +45,12 @@ mod training;
 
 #[cfg(feature = "libtorch")]
 pub use adam::Adam;
-pub use record::{EpisodeRecord, Event, Flow, Level, Losses, RANDOMISED, Start, TrainError, Trained};
-pub use settings::{CriticLoss, Extended, FineTuning, Network, Order, PAPER_LEVELS_DEG, Preset, Replayed, Settings};
+pub use record::{
+    EpisodeRecord, Event, Flow, Level, Losses, RANDOMISED, Start, TrainError, Trained,
+};
+pub use settings::{
+    CriticLoss, Extended, FineTuning, Network, Order, PAPER_LEVELS_DEG, Preset, Replayed, Settings,
+};
 pub use surrogate::Surrogate;
 #[cfg(feature = "libtorch")]
 pub use training::{train, train_on};

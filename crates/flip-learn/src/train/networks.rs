@@ -47,9 +47,10 @@ impl Networks {
         let (inputs, hidden) = (settings.encoding.width(), settings.hidden as usize);
         let with_action = inputs + COUNT + OUTPUTS;
         match settings.network {
-            Network::FeedForward => {
-                Self::FeedForward { actor: settings.actor_widths(), critic: vec![with_action, hidden, hidden, 1] }
-            }
+            Network::FeedForward => Self::FeedForward {
+                actor: settings.actor_widths(),
+                critic: vec![with_action, hidden, hidden, 1],
+            },
             Network::Recurrent { .. } => {
                 let recalled = inputs + OUTPUTS;
                 let sizes = |seen, trunk| recurrent::Sizes { seen, recalled, hidden, trunk };
@@ -68,9 +69,10 @@ impl Networks {
     /// critics.
     pub fn initialise(&self, rng: &mut impl Rng) -> (Vec<f32>, Vec<f32>) {
         match self {
-            Self::FeedForward { actor, critic } => {
-                (draw(&bounds(actor, LAST_BOUND), 1, rng), draw(&bounds(critic, LAST_BOUND), 2, rng))
-            }
+            Self::FeedForward { actor, critic } => (
+                draw(&bounds(actor, LAST_BOUND), 1, rng),
+                draw(&bounds(critic, LAST_BOUND), 2, rng),
+            ),
             Self::Recurrent { actor, critic } => {
                 let last = 1.0 / (critic.hidden as f32).sqrt();
                 (draw(&actor.bounds(LAST_BOUND), 1, rng), draw(&critic.bounds(last), 2, rng))
@@ -103,15 +105,21 @@ impl Networks {
         let rows = Tensor::cat(&[&seen.rows, action], 1);
         match self {
             Self::FeedForward { critic, .. } => forward_twins(critics, critic, &rows),
-            Self::Recurrent { critic, .. } => recurrent::forward(critics, critic, &rows, course(seen)).squeeze_dim(2),
+            Self::Recurrent { critic, .. } => {
+                recurrent::forward(critics, critic, &rows, course(seen)).squeeze_dim(2)
+            }
         }
     }
 
     /// Builds the actor with these parameters in plain Rust; `None` if one of them is not finite.
     pub fn snapshot(&self, encoding: Encoding, actor: &[f32]) -> Option<Actor> {
         match self {
-            Self::FeedForward { actor: widths, .. } => Actor::from_flat(encoding, widths, actor).ok(),
-            Self::Recurrent { actor: sizes, .. } => Actor::recurrent(encoding, sizes.hidden, actor).ok(),
+            Self::FeedForward { actor: widths, .. } => {
+                Actor::from_flat(encoding, widths, actor).ok()
+            }
+            Self::Recurrent { actor: sizes, .. } => {
+                Actor::recurrent(encoding, sizes.hidden, actor).ok()
+            }
         }
     }
 }
@@ -190,15 +198,22 @@ mod tests {
     #[test]
     fn the_pure_forward_pass_equals_libtorchs() {
         let mut rng = Pcg64Mcg::seed_from_u64(5);
-        for (encoding, hidden) in [(Encoding::Missing, 128), (Encoding::Paper, 128), (Encoding::Missing, 7)] {
+        for (encoding, hidden) in
+            [(Encoding::Missing, 128), (Encoding::Paper, 128), (Encoding::Missing, 7)]
+        {
             let widths = [encoding.width(), hidden, hidden, 4];
             // Weights as large as a trained network's: uniform, not scaled down in the last layer.
-            let flat: Vec<f32> =
-                (0..Actor::flat_len(&widths)).map(|_| 0.3 * (2.0 * rng.random::<f32>() - 1.0)).collect();
+            let flat: Vec<f32> = (0..Actor::flat_len(&widths))
+                .map(|_| 0.3 * (2.0 * rng.random::<f32>() - 1.0))
+                .collect();
             let actor = Actor::from_flat(encoding, &widths, &flat).unwrap();
             for _ in 0..20 {
                 let x: Vec<f32> = (0..widths[0]).map(|_| 4.0 * rng.random::<f32>() - 2.0).collect();
-                let y = forward(&Tensor::from_slice(&flat), &widths, &Tensor::from_slice(&x).unsqueeze(0));
+                let y = forward(
+                    &Tensor::from_slice(&flat),
+                    &widths,
+                    &Tensor::from_slice(&x).unsqueeze(0),
+                );
                 let y = Vec::<f32>::try_from(y.squeeze_dim(0)).unwrap();
                 let head = actor.forward(&x, &mut actor.begin());
                 for (k, pure) in head.mean.iter().chain(&head.log_std).enumerate() {
@@ -214,7 +229,8 @@ mod tests {
         let mut rng = Pcg64Mcg::seed_from_u64(6);
         let widths = [5, 8, 8, 1];
         let flat = draw(&bounds(&widths, LAST_BOUND), 2, &mut rng);
-        let x = Tensor::from_slice(&[0.3f32, -1.0, 0.5, 2.0, 0.1, 1.0, 0.0, -0.5, 0.2, 0.9]).view([2, 5]);
+        let x = Tensor::from_slice(&[0.3f32, -1.0, 0.5, 2.0, 0.1, 1.0, 0.0, -0.5, 0.2, 0.9])
+            .view([2, 5]);
         let both = Tensor::from_slice(&flat).view([2, -1]);
         let twins = forward_twins(&both, &widths, &x);
         for k in 0..2 {

@@ -77,7 +77,11 @@ impl Course {
             Some(states) => {
                 let states = Tensor::from_slice(states).view([1, episodes, 2 * hidden]);
                 let part = |k: i64| states.narrow(2, k * hidden, hidden).contiguous();
-                Self { inputs: all.narrow(0, 1, steps), start: Some([part(0), part(1)]), at: at.shallow_clone() }
+                Self {
+                    inputs: all.narrow(0, 1, steps),
+                    start: Some([part(0), part(1)]),
+                    at: at.shallow_clone(),
+                }
             }
         };
         [Self { inputs: all.narrow(0, 0, steps), start: None, at }, next]
@@ -86,7 +90,8 @@ impl Course {
     /// Converts to another precision.
     #[cfg(test)]
     pub(super) fn to_kind(&self, kind: tch::Kind) -> Self {
-        let start = self.start.as_ref().map(|start| start.each_ref().map(|part| part.to_kind(kind)));
+        let start =
+            self.start.as_ref().map(|start| start.each_ref().map(|part| part.to_kind(kind)));
         Self { inputs: self.inputs.to_kind(kind), start, at: self.at.shallow_clone() }
     }
 }
@@ -102,8 +107,9 @@ pub fn forward(flat: &Tensor, sizes: &Sizes, rows: &Tensor, course: &Course) -> 
     };
     let seen = branch(0, sizes.seen, rows);
     let recalled = branch(2, sizes.recalled, &course.inputs.view([-1, sizes.recalled as i64]));
-    let remembered: Vec<Tensor> =
-        (0..n).map(|k| remember(&recalled.get(k), &parts[4..8], k, sizes.hidden as i64, course)).collect();
+    let remembered: Vec<Tensor> = (0..n)
+        .map(|k| remember(&recalled.get(k), &parts[4..8], k, sizes.hidden as i64, course))
+        .collect();
     perceptrons(&parts[8..], &sizes.trunk, Tensor::cat(&[seen, Tensor::stack(&remembered, 0)], 2))
 }
 
@@ -117,10 +123,14 @@ fn remember(x: &Tensor, lstm: &[Tensor], k: i64, hidden: i64, course: &Course) -
     let [b, d] = [2, 3].map(|part: usize| lstm[part].get(k));
     let steps_episodes = &course.inputs.size()[..2];
     let x = x.view([steps_episodes[0], steps_episodes[1], hidden]);
-    let start = course.start.as_ref().map(|start| start.each_ref().map(Tensor::shallow_clone)).unwrap_or_else(|| {
-        let zeros = || Tensor::zeros([1, steps_episodes[1], hidden], (x.kind(), x.device()));
-        [zeros(), zeros()]
-    });
+    let start = course
+        .start
+        .as_ref()
+        .map(|start| start.each_ref().map(Tensor::shallow_clone))
+        .unwrap_or_else(|| {
+            let zeros = || Tensor::zeros([1, steps_episodes[1], hidden], (x.kind(), x.device()));
+            [zeros(), zeros()]
+        });
     let (y, _, _) = x.lstm(&start, &[w, u, b, d], true, 1, 0.0, true, false, false);
     y.view([-1, hidden]).index_select(0, &course.at)
 }

@@ -9,10 +9,17 @@ use rand_pcg::Pcg64Mcg;
 #[test]
 fn the_pure_forward_pass_equals_libtorchs_along_whole_episodes() {
     let mut rng = Pcg64Mcg::seed_from_u64(8);
-    for (encoding, hidden) in [(Encoding::Paper, 128), (Encoding::Missing, 128), (Encoding::Missing, 7)] {
+    for (encoding, hidden) in
+        [(Encoding::Paper, 128), (Encoding::Missing, 128), (Encoding::Missing, 7)]
+    {
         let inputs = encoding.width();
         let recalled = inputs + OUTPUTS;
-        let sizes = Sizes { seen: inputs, recalled, hidden, trunk: vec![2 * hidden, hidden, hidden, 2 * OUTPUTS] };
+        let sizes = Sizes {
+            seen: inputs,
+            recalled,
+            hidden,
+            trunk: vec![2 * hidden, hidden, hidden, 2 * OUTPUTS],
+        };
         // Weights as large as a trained network's: uniform, not scaled down in the last layer.
         let count = sizes.blocks().iter().sum::<i64>();
         let flat: Vec<f32> = (0..count).map(|_| 0.2 * (2.0 * rng.random::<f32>() - 1.0)).collect();

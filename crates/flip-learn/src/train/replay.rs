@@ -33,7 +33,11 @@ impl Memory {
     /// The observation after it.
     pub(super) fn after(&self, target_mg: f64) -> Observation {
         let s = &self.step;
-        Observation { reading_mg: s.next_reading_mg.into(), target_mg, pitch_deg: s.next_pitch_deg.into() }
+        Observation {
+            reading_mg: s.next_reading_mg.into(),
+            target_mg,
+            pitch_deg: s.next_pitch_deg.into(),
+        }
     }
 
     /// The additional knowledge before it.
@@ -178,7 +182,9 @@ impl Replay {
         let capacity = settings.replay_capacity as usize;
         match settings.network {
             Network::FeedForward => Self::Steps(Ring::new(capacity)),
-            Network::Recurrent { .. } => Self::Episodes(Ring::new(capacity / settings.rules.steps_max as usize)),
+            Network::Recurrent { .. } => {
+                Self::Episodes(Ring::new(capacity / settings.rules.steps_max as usize))
+            }
         }
     }
 
@@ -218,11 +224,14 @@ impl Replay {
 
     /// Converts the memory to plain numbers.
     pub fn to_plain(&self) -> Remembered {
-        let rows = |steps: &mut dyn Iterator<Item = &Memory>| steps.flat_map(|m| m.to_row()).collect();
+        let rows =
+            |steps: &mut dyn Iterator<Item = &Memory>| steps.flat_map(|m| m.to_row()).collect();
         match self {
-            Self::Steps(ring) => {
-                Remembered { rows: rows(&mut ring.items.iter()), oldest: ring.oldest, ..Remembered::default() }
-            }
+            Self::Steps(ring) => Remembered {
+                rows: rows(&mut ring.items.iter()),
+                oldest: ring.oldest,
+                ..Remembered::default()
+            },
             Self::Episodes(ring) => Remembered {
                 rows: rows(&mut ring.items.iter().flat_map(|episode| &episode.steps)),
                 lengths: ring.items.iter().map(|episode| episode.steps.len() as u32).collect(),
@@ -236,10 +245,13 @@ impl Replay {
     pub fn from_plain(plain: &Remembered, settings: &Settings) -> Option<Self> {
         let mut steps: Vec<Memory> = plain.rows.chunks_exact(WIDTH).map(Memory::from_row).collect();
         let whole = plain.rows.len().is_multiple_of(WIDTH);
-        let fill = |capacity: usize, count: usize| whole && count <= capacity && plain.oldest < capacity;
+        let fill =
+            |capacity: usize, count: usize| whole && count <= capacity && plain.oldest < capacity;
         match Self::new(settings) {
             Self::Steps(ring) => {
-                let fits = fill(ring.capacity, steps.len()) && plain.lengths.is_empty() && plain.states.is_empty();
+                let fits = fill(ring.capacity, steps.len())
+                    && plain.lengths.is_empty()
+                    && plain.states.is_empty();
                 fits.then_some(Self::Steps(Ring { items: steps, oldest: plain.oldest, ..ring }))
             }
             Self::Episodes(ring) => {
@@ -253,7 +265,9 @@ impl Replay {
                     steps: steps.drain(..length as usize).collect(),
                     state: plain.states[k * state..(k + 1) * state].to_vec(),
                 });
-                fits.then(|| Self::Episodes(Ring { items: items.collect(), oldest: plain.oldest, ..ring }))
+                fits.then(|| {
+                    Self::Episodes(Ring { items: items.collect(), oldest: plain.oldest, ..ring })
+                })
             }
         }
     }
@@ -273,7 +287,8 @@ fn hindsight_target(memory: &Memory, settings: &Settings, rng: &mut impl Rng) ->
     let lower = match settings.rules.ending {
         Ending::Never => settings.relabel_mg_min,
         Ending::OnTarget => {
-            let reached_mg = f64::from(memory.step.reading_mg) + on_target_mg(settings.balance.readability_mg);
+            let reached_mg =
+                f64::from(memory.step.reading_mg) + on_target_mg(settings.balance.readability_mg);
             settings.relabel_mg_min.max(reached_mg)
         }
     };
@@ -341,7 +356,12 @@ mod tests {
 
     fn settings(preset: Preset) -> Settings {
         let network = Network::FeedForward;
-        Settings { batch: 400, relabel_share: 1.0, network, ..Settings::of(preset, Order::Random, 1) }
+        Settings {
+            batch: 400,
+            relabel_share: 1.0,
+            network,
+            ..Settings::of(preset, Order::Random, 1)
+        }
     }
 
     /// A replay memory with these steps.
@@ -354,9 +374,10 @@ mod tests {
     #[test]
     fn a_step_without_relabelling_is_given_back_as_it_was_played() {
         let settings = Settings { relabel_share: 0.0, batch: 1, ..settings(Preset::Paper) };
-        let batch = replay(&settings, vec![memory(3.0, 5.0)]).draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
-        let seen =
-            Observation { reading_mg: 3.0, target_mg: 12.0, pitch_deg: 8.0 }.encode(Encoding::Paper, &Known::default());
+        let batch = replay(&settings, vec![memory(3.0, 5.0)])
+            .draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
+        let seen = Observation { reading_mg: 3.0, target_mg: 12.0, pitch_deg: 8.0 }
+            .encode(Encoding::Paper, &Known::default());
         assert_eq!(batch.now, [seen, vec![0.5; COUNT], vec![0.25, -0.5]].concat());
         assert_eq!((batch.reward, batch.goes_on), (vec![-6.75], vec![1.0]));
     }
@@ -364,30 +385,42 @@ mod tests {
     #[test]
     fn relabelled_targets_keep_the_dynamics_and_agree_with_reward_and_ending() {
         let settings = settings(Preset::Flip);
-        let batch = replay(&settings, vec![memory(3.0, 9.0)]).draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
+        let batch = replay(&settings, vec![memory(3.0, 9.0)])
+            .draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
         let width = settings.encoding.width();
         let (mut ended, mut overdosed) = (0, 0);
         for (k, now) in batch.now.chunks_exact(width + COUNT + 2).enumerate() {
             // The first input is the missing mass over 10 mg, which reveals the target used.
             let target = f64::from(now[0]) * 10.0 + 3.0;
-            assert!((4.0..15.0).contains(&target), "the step would not have been taken for {target} mg");
-            assert_eq!((now[2], now[width + COUNT..].to_vec()), (8.0 / 25.0 - 1.0, vec![0.25, -0.5]));
+            assert!(
+                (4.0..15.0).contains(&target),
+                "the step would not have been taken for {target} mg"
+            );
+            assert_eq!(
+                (now[2], now[width + COUNT..].to_vec()),
+                (8.0 / 25.0 - 1.0, vec![0.25, -0.5])
+            );
             let terminated = target - 9.0 < 1.0;
             assert_eq!(batch.goes_on[k], if terminated { 0.0 } else { 1.0 });
-            let expected = settings.reward_scale * training_reward(&settings, target, 9.25, terminated);
+            let expected =
+                settings.reward_scale * training_reward(&settings, target, 9.25, terminated);
             assert!((f64::from(batch.reward[k]) - expected).abs() < 1e-4);
             ended += u32::from(terminated);
             overdosed += u32::from(9.25 - target > 1.0);
         }
         // Targets are uniform over 4 to 15 mg: 6/11 of 400 end the episode, 4.25/11 are overdosed;
         // 4 SD are 40.
-        assert!((178..=258).contains(&ended) && (115..=195).contains(&overdosed), "{ended} {overdosed}");
+        assert!(
+            (178..=258).contains(&ended) && (115..=195).contains(&overdosed),
+            "{ended} {overdosed}"
+        );
     }
 
     #[test]
     fn a_step_that_no_target_in_range_explains_keeps_its_own() {
         let settings = settings(Preset::Flip);
-        let batch = replay(&settings, vec![memory(14.5, 16.0)]).draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
+        let batch = replay(&settings, vec![memory(14.5, 16.0)])
+            .draw(&settings, &mut Pcg64Mcg::seed_from_u64(1));
         assert!(batch.goes_on.iter().all(|&g| g == 0.0));
     }
 
@@ -404,14 +437,25 @@ mod tests {
     #[test]
     fn the_oldest_step_is_forgotten_first_and_rows_bring_everything_back() {
         let settings = |replay_capacity| Settings { replay_capacity, ..settings(Preset::Flip) };
-        let steps = |range: std::ops::Range<u32>| range.map(|k| memory(k as f32, 9.0)).collect::<Vec<_>>();
+        let steps =
+            |range: std::ops::Range<u32>| range.map(|k| memory(k as f32, 9.0)).collect::<Vec<_>>();
         let replay = replay(&settings(3), steps(0..5));
-        assert_eq!(replay, Replay::Steps(Ring { items: [steps(3..5), steps(2..3)].concat(), capacity: 3, oldest: 2 }));
+        assert_eq!(
+            replay,
+            Replay::Steps(Ring {
+                items: [steps(3..5), steps(2..3)].concat(),
+                capacity: 3,
+                oldest: 2
+            })
+        );
         let plain = replay.to_plain();
         assert_eq!(Replay::from_plain(&plain, &settings(3)), Some(replay));
         assert_eq!(Replay::from_plain(&plain, &settings(2)), None);
         let rows = plain.rows[1..].to_vec();
         assert_eq!(Replay::from_plain(&Remembered { rows, ..plain.clone() }, &settings(3)), None);
-        assert_eq!(Replay::from_plain(&Remembered { lengths: vec![3], ..plain }, &settings(3)), None);
+        assert_eq!(
+            Replay::from_plain(&Remembered { lengths: vec![3], ..plain }, &settings(3)),
+            None
+        );
     }
 }

@@ -49,7 +49,9 @@ impl Rival {
     /// between it and 16 mm; then the rules' own numbers.
     fn ranges(self) -> &'static [[f64; 2]] {
         match self {
-            Self::Pid => &[[0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1], [0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1]],
+            Self::Pid => {
+                &[[0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1], [0.0, 0.1], [-0.02, 0.02], [-0.1, 0.1]]
+            }
             Self::Fuzzy => &[[3.0, 12.0], [0.5, 5.0], [3.0, 8.0], [0.9, 5.0], [5.5, 16.0]],
             Self::Paced => &[
                 [1.5, 8.0],
@@ -103,22 +105,35 @@ impl Rival {
             }
             _ => return None,
         };
-        let unit = |(value, [low, high]): (&f64, &[f64; 2])| ((value - low) / (high - low)).clamp(0.0, 1.0);
+        let unit = |(value, [low, high]): (&f64, &[f64; 2])| {
+            ((value - low) / (high - low)).clamp(0.0, 1.0)
+        };
         Some(x.iter().zip(self.ranges()).map(unit).collect())
     }
 
     /// The rival at a point of the unit cube.
     fn at(self, point: &[f64]) -> (Kind, Controller) {
-        let x: Vec<f64> = self.ranges().iter().zip(point).map(|([low, high], u)| low + u * (high - low)).collect();
-        let round = |value: f64, digits: i32| (value * 10f64.powi(digits)).round() / 10f64.powi(digits);
+        let x: Vec<f64> = self
+            .ranges()
+            .iter()
+            .zip(point)
+            .map(|([low, high], u)| low + u * (high - low))
+            .collect();
+        let round =
+            |value: f64, digits: i32| (value * 10f64.powi(digits)).round() / 10f64.powi(digits);
         match self {
             Self::Pid => {
-                let gains = |k: usize| Gains { p: round(x[k], 4), i: round(x[k + 1], 4), d: round(x[k + 2], 4) };
+                let gains = |k: usize| Gains {
+                    p: round(x[k], 4),
+                    i: round(x[k + 1], 4),
+                    d: round(x[k + 2], 4),
+                };
                 let pid = Pid { incline: gains(0), shake: gains(3) };
                 (Kind::Pid { gains: pid }, Controller::Pid(pid))
             }
             Self::Fuzzy => {
-                let [medium, some, far, gentle, strong] = [x[0], x[1], x[2], x[3], x[4]].map(|value| round(value, 1));
+                let [medium, some, far, gentle, strong] =
+                    [x[0], x[1], x[2], x[3], x[4]].map(|value| round(value, 1));
                 let half = round(far / 2.0, 2);
                 let fuzzy = Fuzzy {
                     missing_mg: [1.0, medium, round(2.5 * medium, 2)],
@@ -129,7 +144,8 @@ impl Rival {
                 (Kind::Fuzzy { fuzzy }, Controller::Fuzzy(fuzzy))
             }
             Self::Paced => {
-                let (medium, some, on, gentle) = (round(x[0], 1), round(x[2], 2), round(x[5], 1), round(x[7], 1));
+                let (medium, some, on, gentle) =
+                    (round(x[0], 1), round(x[2], 2), round(x[5], 1), round(x[7], 1));
                 let between = |share: f64| round(gentle * (SHAKE_MM_MAX / gentle).powf(share), 2);
                 let far = round((x[6] * on).min(INCLINE_CHANGE_DEG_MAX), 1).max(on + 0.1);
                 let paced = Paced {
@@ -162,7 +178,12 @@ const AROUND_KNOWN: usize = 31;
 ///
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
-pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning, rival: Rival) -> TunedRival {
+pub fn tune<F: Filling>(
+    filling: &F,
+    levels: &[Level],
+    tuning: &Tuning,
+    rival: Rival,
+) -> TunedRival {
     let (best, spoons) = search(filling, levels, tuning, rival, KEPT);
     let (loss_mg, point) = &best[0];
     let (kind, controller) = rival.at(point);
@@ -187,12 +208,20 @@ pub fn tune_twice<F: Filling, G: Filling>(
     let score = |of: &(Kind, Controller), doses| loss_mg(&of.1, levels, tuning, &spoons, doses);
     let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[6]));
     let mut aside = |from: &Vec<f64>| -> Vec<f64> {
-        let moved = |u: &f64| if rng.random_bool(1.0 / 3.0) { u + rng.random_range(-0.15..0.15) } else { *u };
+        let moved = |u: &f64| {
+            if rng.random_bool(1.0 / 3.0) { u + rng.random_range(-0.15..0.15) } else { *u }
+        };
         from.iter().map(moved).map(|u| u.clamp(0.0, 1.0)).collect()
     };
-    let known: Vec<Vec<f64>> = known.iter().filter_map(|controller| rival.point(controller)).collect();
+    let known: Vec<Vec<f64>> =
+        known.iter().filter_map(|controller| rival.point(controller)).collect();
     let around: Vec<Vec<f64>> = known.iter().cycle().take(AROUND_KNOWN).map(&mut aside).collect();
-    let field = known.iter().chain(&around).chain(best.iter().map(|(_, point)| point)).map(|p| rival.at(p)).collect();
+    let field = known
+        .iter()
+        .chain(&around)
+        .chain(best.iter().map(|(_, point)| point))
+        .map(|p| rival.at(p))
+        .collect();
     let (best, poured) = halve(field, SLOW_SPOONS, KEPT, score);
     let (loss_mg, (kind, controller)) = best.into_iter().next().expect("a field is not empty");
     found(kind, controller, loss_mg, poured, levels, tuning)
@@ -207,17 +236,22 @@ fn search<F: Filling>(
     rival: Rival,
     kept: usize,
 ) -> (Vec<(f64, Vec<f64>)>, u32) {
-    assert!(!levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0);
+    assert!(
+        !levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0
+    );
     let spoons = Spoons::new(filling, derive(tuning.seed, &[1]));
     let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
-    let score = |point: &Vec<f64>, doses| loss_mg(&rival.at(point).1, levels, tuning, &spoons, doses);
+    let score =
+        |point: &Vec<f64>, doses| loss_mg(&rival.at(point).1, levels, tuning, &spoons, doses);
     let size = rival.ranges().len();
-    let field = (0..tuning.candidates).map(|_| (0..size).map(|_| rng.random_range(0.0..1.0)).collect());
+    let field =
+        (0..tuning.candidates).map(|_| (0..size).map(|_| rng.random_range(0.0..1.0)).collect());
     let (best, first_spoons) = halve(field.collect(), tuning.spoons, kept, score);
     let mut aside = |from: &Vec<f64>| -> Vec<f64> {
         from.iter().map(|u| (u + rng.random_range(-0.15..0.15)).clamp(0.0, 1.0)).collect()
     };
-    let around = (best.len()..tuning.candidates.div_ceil(2) as usize).map(|k| aside(&best[k % best.len()].1));
+    let around = (best.len()..tuning.candidates.div_ceil(2) as usize)
+        .map(|k| aside(&best[k % best.len()].1));
     let around: Vec<Vec<f64>> = around.collect();
     let field = best.into_iter().map(|(_, point)| point).chain(around).collect();
     let (best, second_spoons) = halve(field, tuning.spoons, kept, score);
@@ -258,7 +292,9 @@ fn loss_mg<F: Filling>(
     doses: u32,
 ) -> f64 {
     mean_error_mg(levels, tuning.seed, spoons, doses, |spoon, seed| {
-        let pour = |&target_mg: &f64| errors_mg(controller, spoon.clone(), tuning, &[target_mg], target_mg, seed);
+        let pour = |&target_mg: &f64| {
+            errors_mg(controller, spoon.clone(), tuning, &[target_mg], target_mg, seed)
+        };
         tuning.targets_mg.iter().flat_map(pour).collect()
     })
 }
@@ -321,19 +357,28 @@ mod tests {
         let tuning = Tuning { candidates: 32, ..Tuning::new(1) };
         for rival in [Rival::Pid, Rival::Fuzzy, Rival::Paced] {
             let tuned = tune(&formula, &levels(), &tuning, rival);
-            let on_others = |controller: &Controller| assess(&formula, &levels(), &tuning, controller, 20, 99);
+            let on_others =
+                |controller: &Controller| assess(&formula, &levels(), &tuning, controller, 20, 99);
             let mut rng = Pcg64Mcg::seed_from_u64(5);
-            let mut drawn = || rival.ranges().iter().map(|_| rng.random_range(0.0..1.0)).collect::<Vec<f64>>();
+            let mut drawn =
+                || rival.ranges().iter().map(|_| rng.random_range(0.0..1.0)).collect::<Vec<f64>>();
             let theirs = (0..20).map(|_| on_others(&rival.at(&drawn()).1)).sum::<f64>() / 20.0;
             let ours = on_others(&tuned.controller);
             assert!(ours < theirs, "{rival:?}: tuned {ours}, drawn {theirs}");
             assert_eq!(tune(&formula, &levels(), &tuning, rival), tuned);
             let twice = tune_twice(&formula, &formula, &levels(), &tuning, rival, &[]);
-            assert!(on_others(&twice.controller) < theirs, "{rival:?}: searched twice {twice:?}, drawn {theirs}");
+            assert!(
+                on_others(&twice.controller) < theirs,
+                "{rival:?}: searched twice {twice:?}, drawn {theirs}"
+            );
             // A hopeless search still keeps a previously good controller.
-            let (hopeless, known) = (Tuning { candidates: 1, ..tuning.clone() }, [tuned.controller]);
+            let (hopeless, known) =
+                (Tuning { candidates: 1, ..tuning.clone() }, [tuned.controller]);
             let kept = tune_twice(&formula, &formula, &levels(), &hopeless, rival, &known);
-            assert!(on_others(&kept.controller) < theirs, "{rival:?}: kept {kept:?}, drawn {theirs}");
+            assert!(
+                on_others(&kept.controller) < theirs,
+                "{rival:?}: kept {kept:?}, drawn {theirs}"
+            );
         }
     }
 }

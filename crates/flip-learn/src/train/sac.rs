@@ -160,14 +160,16 @@ impl Learner {
 
         let y = tch::no_grad(|| self.target(&next, &noise.get(0), batch, alpha, settings.gamma));
         let critics = Tensor::from_slice(&self.critics).view([2, -1]).set_requires_grad(true);
-        let critic_loss = critic_loss(&self.networks.values(&critics, &now, &action), &y, settings.critic_loss);
+        let critic_loss =
+            critic_loss(&self.networks.values(&critics, &now, &action), &y, settings.critic_loss);
         let gradient = gradient_of(&critic_loss, &critics);
         self.critics_adam.step(&mut self.critics, &gradient, settings.learning_rate);
 
         let actor = Tensor::from_slice(&self.actor).set_requires_grad(true);
         let (action, log_prob) = squash(&self.networks.head(&actor, &now), &noise.get(1));
         let critics = Tensor::from_slice(&self.critics).view([2, -1]);
-        let actor_loss = actor_loss(&self.networks.values(&critics, &now, &action), &log_prob, alpha);
+        let actor_loss =
+            actor_loss(&self.networks.values(&critics, &now, &action), &log_prob, alpha);
         let mean_log_prob = log_prob.mean(None).double_value(&[]);
         let held = settings.from.as_ref().map_or(0, |from| from.held_updates.into());
         if self.critics_adam.t > held {
@@ -211,10 +213,15 @@ impl Learner {
         let state = next.size()[1];
         let action = now.narrow(1, state, OUTPUTS as i64);
         let [before, after] = match (&self.networks, &batch.courses) {
-            (Networks::Recurrent { actor, .. }, Some(courses)) => Course::pair(courses, actor).map(Some),
+            (Networks::Recurrent { actor, .. }, Some(courses)) => {
+                Course::pair(courses, actor).map(Some)
+            }
             _ => [None, None],
         };
-        ((Seen { rows: now.narrow(1, 0, state), course: before }, action), Seen { rows: next, course: after })
+        (
+            (Seen { rows: now.narrow(1, 0, state), course: before }, action),
+            Seen { rows: next, course: after },
+        )
     }
 
     /// The critics' targets for a batch, from the target networks: `[rows]`.
@@ -223,7 +230,8 @@ impl Learner {
         let (action, log_prob) = squash(&self.networks.head(&actor, next), noise);
         let targets = Tensor::from_slice(&self.targets).view([2, -1]);
         let next_q = self.networks.values(&targets, next, &action);
-        let (reward, goes_on) = (Tensor::from_slice(&batch.reward), Tensor::from_slice(&batch.goes_on));
+        let (reward, goes_on) =
+            (Tensor::from_slice(&batch.reward), Tensor::from_slice(&batch.goes_on));
         td_target(&reward, &goes_on, &next_q, &log_prob, alpha, gamma)
     }
 }

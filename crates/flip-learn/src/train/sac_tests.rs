@@ -19,7 +19,11 @@ fn references() -> Vec<(Network, CriticLoss, Value)> {
     let mut recurrent = read(include_str!("../../../../tests/reference/sac_recurrent_update.json"));
     let network = |replayed| Network::Recurrent { replayed };
     vec![
-        (Network::FeedForward, CriticLoss::Squared, read(include_str!("../../../../tests/reference/sac_update.json"))),
+        (
+            Network::FeedForward,
+            CriticLoss::Squared,
+            read(include_str!("../../../../tests/reference/sac_update.json")),
+        ),
         (network(Replayed::StoredState), CriticLoss::Huber, recurrent["stored_state"].take()),
         (network(Replayed::Episodes), CriticLoss::Squared, recurrent["episodes"].take()),
     ]
@@ -30,7 +34,9 @@ fn numbers(value: &Value) -> Vec<f32> {
 }
 
 /// The learner, settings, batch and noise that a reference starts from.
-fn start((network, critic_loss, reference): &(Network, CriticLoss, Value)) -> (Learner, Settings, Batch, Vec<f32>) {
+fn start(
+    (network, critic_loss, reference): &(Network, CriticLoss, Value),
+) -> (Learner, Settings, Batch, Vec<f32>) {
     let number = |key: &str| reference[key].as_f64().unwrap();
     let recurrent = *network != Network::FeedForward;
     let settings = Settings {
@@ -95,8 +101,16 @@ fn one_update_equals_an_independent_implementation() {
         assert_close("entropy", &[losses.entropy as f32], &[number("entropy")]);
         // Adam's first moment after one step is a tenth of the gradient.
         let gradient = |adam: &Adam| adam.m.iter().map(|m| m * 10.0).collect::<Vec<f32>>();
-        assert_close("critics' gradient", &gradient(&learner.critics_adam), &numbers(&expected["critic_gradient"]));
-        assert_close("actor's gradient", &gradient(&learner.actor_adam), &numbers(&expected["actor_gradient"]));
+        assert_close(
+            "critics' gradient",
+            &gradient(&learner.critics_adam),
+            &numbers(&expected["critic_gradient"]),
+        );
+        assert_close(
+            "actor's gradient",
+            &gradient(&learner.actor_adam),
+            &numbers(&expected["actor_gradient"]),
+        );
         assert_close("critics", &learner.critics, &numbers(&expected["critics"]));
         assert_close("actor", &learner.actor, &numbers(&expected["actor"]));
         assert_close("targets", &learner.targets, &numbers(&expected["targets"]));
@@ -107,7 +121,8 @@ fn one_update_equals_an_independent_implementation() {
 #[test]
 fn the_actor_that_comes_out_is_the_mean_of_what_it_was_or_the_last_one() {
     let (mut learner, settings, batch, noise) = start(&references()[0]);
-    let from = |averaged_updates| FineTuning { policy: "p".into(), held_updates: 2, averaged_updates };
+    let from =
+        |averaged_updates| FineTuning { policy: "p".into(), held_updates: 2, averaged_updates };
     let averaging = Settings { from: Some(from(4)), ..settings.clone() };
     learner.take(learner.actor.clone());
     let mut actors = vec![learner.actor.clone()];
@@ -117,10 +132,17 @@ fn the_actor_that_comes_out_is_the_mean_of_what_it_was_or_the_last_one() {
     }
     // Held for two updates; each of the other four counts for a quarter of the remainder.
     assert!(actors[0] == actors[2] && actors[2] != actors[3]);
-    let weights = [0.75f64.powi(4), 0.25 * 0.75f64.powi(3), 0.25 * 0.75f64.powi(2), 0.25 * 0.75, 0.25];
-    let mean =
-        |k: usize| weights.iter().zip(&actors[2..]).map(|(w, actor)| w * f64::from(actor[k])).sum::<f64>() as f32;
-    assert_close("averaged", &learner.averaged, &(0..learner.actor.len()).map(mean).collect::<Vec<_>>());
+    let weights =
+        [0.75f64.powi(4), 0.25 * 0.75f64.powi(3), 0.25 * 0.75f64.powi(2), 0.25 * 0.75, 0.25];
+    let mean = |k: usize| {
+        weights.iter().zip(&actors[2..]).map(|(w, actor)| w * f64::from(actor[k])).sum::<f64>()
+            as f32
+    };
+    assert_close(
+        "averaged",
+        &learner.averaged,
+        &(0..learner.actor.len()).map(mean).collect::<Vec<_>>(),
+    );
     for last in [Settings { from: Some(from(0)), ..settings.clone() }, settings] {
         learner.update(&batch, &noise, &last);
         assert_eq!(learner.averaged, learner.actor);
@@ -130,17 +152,27 @@ fn the_actor_that_comes_out_is_the_mean_of_what_it_was_or_the_last_one() {
 #[test]
 fn gradients_equal_finite_differences_of_the_losses() {
     // In f64, so that differences of 1e-6 are not lost in rounding.
-    let double = |values: &[f32]| Tensor::from_slice(&values.iter().map(|&x| f64::from(x)).collect::<Vec<_>>());
+    let double = |values: &[f32]| {
+        Tensor::from_slice(&values.iter().map(|&x| f64::from(x)).collect::<Vec<_>>())
+    };
     for reference in &references() {
         let (learner, _, batch, noise) = start(reference);
         let ((now, action), _) = learner.seen(&batch);
         let action = action.to_kind(Kind::Double);
-        let now = Seen { rows: now.rows.to_kind(Kind::Double), course: now.course.map(|c| c.to_kind(Kind::Double)) };
+        let now = Seen {
+            rows: now.rows.to_kind(Kind::Double),
+            course: now.course.map(|c| c.to_kind(Kind::Double)),
+        };
         let noise = double(&noise).view([2, -1, 2]).get(1);
         let y = double(&numbers(&reference.2["expected"]["y"]));
         let critics = double(&learner.critics).view([2, -1]);
-        let of_critics =
-            |flat: &Tensor| critic_loss(&learner.networks.values(&flat.view([2, -1]), &now, &action), &y, reference.1);
+        let of_critics = |flat: &Tensor| {
+            critic_loss(
+                &learner.networks.values(&flat.view([2, -1]), &now, &action),
+                &y,
+                reference.1,
+            )
+        };
         let of_actor = |flat: &Tensor| {
             let (action, log_prob) = squash(&learner.networks.head(flat, &now), &noise);
             actor_loss(&learner.networks.values(&critics, &now, &action), &log_prob, 0.3)
@@ -152,7 +184,9 @@ fn gradients_equal_finite_differences_of_the_losses() {
 
 fn check_gradient(what: &str, at: &Tensor, loss: impl Fn(&Tensor) -> Tensor) {
     let block = at.copy().set_requires_grad(true);
-    let gradient = Vec::<f64>::try_from(&Tensor::run_backward(&[loss(&block)], &[&block], false, false)[0]).unwrap();
+    let gradient =
+        Vec::<f64>::try_from(&Tensor::run_backward(&[loss(&block)], &[&block], false, false)[0])
+            .unwrap();
     let step = 1e-6;
     for k in (0..gradient.len()).step_by(7) {
         let value = |offset: f64| {
@@ -167,9 +201,11 @@ fn check_gradient(what: &str, at: &Tensor, loss: impl Fn(&Tensor) -> Tensor) {
 
 #[test]
 fn log_probabilities_stay_finite_and_right_where_tanh_saturates() {
-    let head = |mean: f32, log_std: f32| Tensor::from_slice(&[mean, mean, log_std, log_std]).view([1, 4]);
+    let head =
+        |mean: f32, log_std: f32| Tensor::from_slice(&[mean, mean, log_std, log_std]).view([1, 4]);
     let log_prob = |mean: f32, log_std: f32, noise: f32| {
-        let (action, log_prob) = squash(&head(mean, log_std), &Tensor::from_slice(&[noise, noise]).view([1, 2]));
+        let (action, log_prob) =
+            squash(&head(mean, log_std), &Tensor::from_slice(&[noise, noise]).view([1, 2]));
         assert!(f64::try_from(action.abs().max()).unwrap() <= 1.0);
         f64::try_from(log_prob).unwrap()
     };
@@ -178,11 +214,13 @@ fn log_probabilities_stay_finite_and_right_where_tanh_saturates() {
     // Far out, ln(1 - tanh(u)^2) tends to 2 ln 2 - 2 |u|: the naive form is -inf beyond |u| = 9 in
     // f32.
     for u in [50.0f32, -50.0, 1000.0] {
-        let expected =
-            -(2.0 * std::f64::consts::PI).ln() - 2.0 * (2.0 * std::f64::consts::LN_2 - 2.0 * f64::from(u).abs());
+        let expected = -(2.0 * std::f64::consts::PI).ln()
+            - 2.0 * (2.0 * std::f64::consts::LN_2 - 2.0 * f64::from(u).abs());
         assert!((log_prob(u, 0.0, 0.0) / expected - 1.0).abs() < 1e-5);
     }
-    for (mean, log_std, noise) in [(0.0, -100.0, 3.0), (0.0, 100.0, -5.0), (1e6, 2.0, 6.0), (-1e6, -20.0, -6.0)] {
+    for (mean, log_std, noise) in
+        [(0.0, -100.0, 3.0), (0.0, 100.0, -5.0), (1e6, 2.0, 6.0), (-1e6, -20.0, -6.0)]
+    {
         assert!(log_prob(mean, log_std, noise).is_finite(), "{mean} {log_std} {noise}");
     }
 }
@@ -200,14 +238,17 @@ fn probabilities_of_the_squashed_gaussian_sum_to_one() {
     let (_, log_prob) = squash(&head, &Tensor::from_slice(&noise).view([n, 2]));
     // The second dimension sits at its centre with density 1 / sqrt(2 pi) on either side of the
     // product.
-    let sum = f64::try_from(log_prob.exp().sum(Kind::Double)).unwrap() * 0.0005 * (2.0 * std::f64::consts::PI).sqrt();
+    let sum = f64::try_from(log_prob.exp().sum(Kind::Double)).unwrap()
+        * 0.0005
+        * (2.0 * std::f64::consts::PI).sqrt();
     assert!((sum - 1.0).abs() < 2e-3, "{sum}");
 }
 
 #[test]
 fn a_time_out_is_bootstrapped_and_a_termination_is_not() {
     let next_q = Tensor::from_slice(&[5.0f32, 5.0, 7.0, 4.0]).view([2, 2]);
-    let (reward, goes_on) = (Tensor::from_slice(&[1.0f32, 1.0]), Tensor::from_slice(&[0.0f32, 1.0]));
+    let (reward, goes_on) =
+        (Tensor::from_slice(&[1.0f32, 1.0]), Tensor::from_slice(&[0.0f32, 1.0]));
     let y = td_target(&reward, &goes_on, &next_q, &Tensor::from_slice(&[-1.0f32, -1.0]), 0.5, 0.9);
     // The smaller twin's 4, plus half a nat of bonus, discounted.
     assert_eq!(Vec::<f32>::try_from(y).unwrap(), [1.0, 1.0 + 0.9 * 4.5]);
@@ -225,8 +266,12 @@ fn the_temperature_rises_when_the_policy_is_too_sure() {
 fn a_bandit_with_a_known_answer_is_solved() {
     // One state, reward -(a - 0.5)^2 in both actions, every step ends: the centre of the policy
     // converges to 0.5.
-    let settings =
-        Settings { hidden: 32, batch: 64, learning_rate: 3e-3, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
+    let settings = Settings {
+        hidden: 32,
+        batch: 64,
+        learning_rate: 3e-3,
+        ..Settings::of(Preset::Flip, Order::Curriculum, 1)
+    };
     let mut rng = Pcg64Mcg::seed_from_u64(2);
     let mut learner = Learner::new(&settings, &mut rng);
     let inputs = settings.encoding.width();
@@ -240,19 +285,27 @@ fn a_bandit_with_a_known_answer_is_solved() {
             batch.reward.push(-3.0 * action.iter().map(|a| (a - 0.5).powi(2)).sum::<f32>());
             batch.goes_on.push(0.0);
         }
-        let noise: Vec<f32> = (0..4 * settings.batch).map(|_| flip_policy::normal(&mut rng)).collect();
+        let noise: Vec<f32> =
+            (0..4 * settings.batch).map(|_| flip_policy::normal(&mut rng)).collect();
         learner.update(&batch, &noise, &settings);
     }
     let actor = learner.snapshot(&settings).unwrap();
     let head = actor.forward(&vec![0.5; inputs], &mut actor.begin());
-    assert!(head.mean.iter().all(|m| (m.tanh() - 0.5).abs() < 0.1), "{:?}", head.mean.map(f32::tanh));
+    assert!(
+        head.mean.iter().all(|m| (m.tanh() - 0.5).abs() < 0.1),
+        "{:?}",
+        head.mean.map(f32::tanh)
+    );
 }
 
 #[test]
 fn hubers_loss_is_linear_beyond_a_difference_of_one() {
     // Differences 0.5 and -3 in each twin: (0.125 + 2.5) / 2 for one, twice that for both; squared
     // (0.125 + 4.5) / 2.
-    let (q, y) = (Tensor::from_slice(&[1.5f32, 1.0, 1.5, 1.0]).view([2, 2]), Tensor::from_slice(&[1.0f32, 4.0]));
+    let (q, y) = (
+        Tensor::from_slice(&[1.5f32, 1.0, 1.5, 1.0]).view([2, 2]),
+        Tensor::from_slice(&[1.0f32, 4.0]),
+    );
     assert!((critic_loss(&q, &y, CriticLoss::Huber).double_value(&[]) - 2.625).abs() < 1e-6);
     assert!((critic_loss(&q, &y, CriticLoss::Squared).double_value(&[]) - 4.625).abs() < 1e-6);
 }
@@ -262,7 +315,12 @@ const CUE: f32 = 3.0;
 
 /// Three steps: a cue of -1 or 1 at the first, no observation later, and at the others a reward of
 /// `-3 sum (a - 0.6 cue)^2`.
-fn push_cued_episode(batch: &mut Batch, courses: &mut Vec<Vec<f32>>, inputs: usize, rng: &mut Pcg64Mcg) {
+fn push_cued_episode(
+    batch: &mut Batch,
+    courses: &mut Vec<Vec<f32>>,
+    inputs: usize,
+    rng: &mut Pcg64Mcg,
+) {
     let cue = if rng.random::<bool>() { 1.0 } else { -1.0 };
     let seen = |step: u32| vec![if step == 0 { CUE * cue } else { 0.0 }; inputs];
     let mut course = [seen(0), vec![0.0; OUTPUTS]].concat();
@@ -293,15 +351,18 @@ fn error_after_a_cue(network: Network, updates: u32) -> f32 {
     let inputs = settings.encoding.width();
     for _ in 0..updates {
         let (mut batch, mut courses) = (Batch::default(), Vec::new());
-        (0..settings.batch).for_each(|_| push_cued_episode(&mut batch, &mut courses, inputs, &mut rng));
+        (0..settings.batch)
+            .for_each(|_| push_cued_episode(&mut batch, &mut courses, inputs, &mut rng));
         batch.courses = Some(interleave(&courses, inputs + OUTPUTS, Vec::new()));
-        let noise: Vec<f32> = (0..4 * batch.reward.len()).map(|_| flip_policy::normal(&mut rng)).collect();
+        let noise: Vec<f32> =
+            (0..4 * batch.reward.len()).map(|_| flip_policy::normal(&mut rng)).collect();
         learner.update(&batch, &noise, &settings);
     }
     let actor = learner.snapshot(&settings).unwrap();
     let off = |cue: f32| {
         let mut carried = actor.begin();
-        let mut centre = |seen: f32| actor.forward(&vec![seen; inputs], &mut carried).mean.map(f32::tanh);
+        let mut centre =
+            |seen: f32| actor.forward(&vec![seen; inputs], &mut carried).mean.map(f32::tanh);
         let [_, _, last] = [CUE * cue, 0.0, 0.0].map(&mut centre);
         last.iter().map(|a| (a - 0.6 * cue).abs()).sum::<f32>() / 2.0
     };

@@ -91,7 +91,9 @@ fn ramp(first: ScheduledStep, last: ScheduledStep) -> Schedule {
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
 pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned {
-    assert!(!levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0);
+    assert!(
+        !levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0
+    );
     let spoons = Spoons::new(filling, derive(tuning.seed, &[1]));
     let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
     let pitch_max_deg = tuning.rules.pitch.upper_deg;
@@ -102,18 +104,24 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
         };
         [step(), step()]
     });
-    let score = |[first, last]: &Ends, doses| score(&ramp(*first, *last), levels, tuning, &spoons, doses);
+    let score =
+        |[first, last]: &Ends, doses| score(&ramp(*first, *last), levels, tuning, &spoons, doses);
     let (best, first_spoons) = halve(field.collect(), tuning.spoons, KEPT, score);
     // The second field: the best of the first, and variants of them.
     let mut aside = |from: ScheduledStep| ScheduledStep {
         pitch_deg: (from.pitch_deg + rng.random_range(-6.0..6.0)).clamp(0.0, pitch_max_deg),
         shake_mm: (from.shake_mm + rng.random_range(-2.5..2.5)).clamp(1.0, SHAKE_MM_MAX),
     };
-    let around = (best.len()..tuning.candidates.div_ceil(2) as usize).map(|k| best[k % best.len()].1.map(&mut aside));
+    let around = (best.len()..tuning.candidates.div_ceil(2) as usize)
+        .map(|k| best[k % best.len()].1.map(&mut aside));
     let field = best.iter().map(|(_, ends)| *ends).chain(around).collect();
     let (best, second_spoons) = halve(field, tuning.spoons, KEPT, score);
     let (mae_mg, [first, last]) = best[0];
-    Tuned { schedule: ramp(first, last), mae_mg, pours: (first_spoons + second_spoons) * levels.len() as u32 }
+    Tuned {
+        schedule: ramp(first, last),
+        mae_mg,
+        pours: (first_spoons + second_spoons) * levels.len() as u32,
+    }
 }
 
 /// The two ends of a ramp.
@@ -132,7 +140,8 @@ pub(super) fn halve<C: Send + Sync>(
 ) -> (Vec<(f64, C)>, u32) {
     let mut poured = 0;
     loop {
-        let mut scored: Vec<(f64, C)> = field.into_par_iter().map(|c| (score(&c, spoons), c)).collect();
+        let mut scored: Vec<(f64, C)> =
+            field.into_par_iter().map(|c| (score(&c, spoons), c)).collect();
         poured += scored.len() as u32 * spoons;
         // A stable sort: among equals, the first drawn wins.
         scored.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -159,7 +168,13 @@ pub fn assess<F: Filling>(
 }
 
 /// Mean absolute error of a schedule over powders, spoons and targets, mg.
-fn score<F: Filling>(schedule: &Schedule, levels: &[Level], tuning: &Tuning, spoons: &Spoons<F>, doses: u32) -> f64 {
+fn score<F: Filling>(
+    schedule: &Schedule,
+    levels: &[Level],
+    tuning: &Tuning,
+    spoons: &Spoons<F>,
+    doses: u32,
+) -> f64 {
     let controller = Controller::Schedule(schedule.clone());
     mean_error_mg(levels, tuning.seed, spoons, doses, |spoon, seed| {
         errors_mg(&controller, spoon, tuning, &tuning.targets_mg, 0.0, seed)
@@ -174,7 +189,8 @@ pub(super) fn mean_error_mg<F: Filling>(
     doses: u32,
     pour: impl Fn(F::Spoon, u64) -> Vec<f64> + Sync,
 ) -> f64 {
-    let pours: Vec<(&Level, u32)> = levels.iter().flat_map(|level| (0..doses).map(move |dose| (level, dose))).collect();
+    let pours: Vec<(&Level, u32)> =
+        levels.iter().flat_map(|level| (0..doses).map(move |dose| (level, dose))).collect();
     // `collect` keeps the order, so the sum is the same at any thread count.
     let errors: Vec<f64> = pours
         .into_par_iter()
@@ -209,7 +225,8 @@ pub(super) fn errors_mg(
         reading_mg = tuning.balance.read(before_mg, spoon.vial_mg(), seed, steps.into()).mass_mg;
         waiting.retain(|&target_mg| {
             let seen = Observation { reading_mg, target_mg, pitch_deg: spoon.pitch_deg() };
-            let goes_on = tuning.rules.after(steps, &seen, tuning.balance.readability_mg) == Episode::Running;
+            let goes_on =
+                tuning.rules.after(steps, &seen, tuning.balance.readability_mg) == Episode::Running;
             if !goes_on {
                 let missing_mg = target_mg - spoon.vial_mg();
                 let factor = if missing_mg < -ON_TARGET_MG { tuning.overdose_factor } else { 1.0 };
@@ -249,7 +266,11 @@ mod tests {
         let on_others = |schedule| assess(&formula, &levels(), &tuning, schedule, 20, 99);
         let (ours, theirs) = (on_others(&tuned.schedule), on_others(&fixed));
         assert!(ours < theirs, "tuned {ours}, fixed {theirs}");
-        assert_eq!(tune(&formula, &levels(), &tuning), tuned, "the same seed finds the same schedule");
+        assert_eq!(
+            tune(&formula, &levels(), &tuning),
+            tuned,
+            "the same seed finds the same schedule"
+        );
     }
 
     #[test]
@@ -258,6 +279,9 @@ mod tests {
         let formula = Formula { pitch: PitchLimits::WIDE };
         let still = Controller::Fixed(ScheduledStep { pitch_deg: 0.0, shake_mm: 0.0 });
         let spoon = formula.fill(&ParameterSet::default(), 1);
-        assert_eq!(errors_mg(&still, spoon, &tuning, &tuning.targets_mg, 0.0, 1), tuning.targets_mg);
+        assert_eq!(
+            errors_mg(&still, spoon, &tuning, &tuning.targets_mg, 0.0, 1),
+            tuning.targets_mg
+        );
     }
 }

@@ -98,6 +98,7 @@ pub struct Extended {
 
 impl Extended {
     /// The day of an episode with this seed.
+    #[cfg(feature = "libtorch")]
     pub(super) fn drawn(&self, powder: Option<&str>, seed: u64) -> &Patch {
         let own = powder.and_then(|powder| self.powders.get(powder)).filter(|own| !own.is_empty());
         let days = own.unwrap_or(&self.days);
@@ -105,8 +106,12 @@ impl Extended {
     }
 
     /// Whether all days of each powder are equal, i.e. every condition is held.
+    #[cfg(feature = "libtorch")]
     pub(super) fn is_held(&self) -> bool {
-        self.powders.values().chain([&self.days]).all(|days| days.windows(2).all(|pair| pair[0] == pair[1]))
+        self.powders
+            .values()
+            .chain([&self.days])
+            .all(|days| days.windows(2).all(|pair| pair[0] == pair[1]))
     }
 
     fn check(&self, spoon: &dispense::Settings) -> Result<(), FieldError> {
@@ -359,8 +364,7 @@ impl Settings {
         bounded("overdose_factor", self.overdose_factor, 0.0, 1000.0, "")?;
         bounded("relabel_share", self.relabel_share, 0.0, 1.0, "")?;
         if self.stores_states() && self.relabel_share > 0.0 {
-            let advice =
-                "must be 0 with stored states, which belong to the target that was asked for; replay `episodes`";
+            let advice = "must be 0 with stored states, which belong to the target that was asked for; replay `episodes`";
             return Err(FieldError::new("relabel_share", advice));
         }
         bounded("relabel_mg_min", self.relabel_mg_min, 0.1, self.target_mg_max, "mg")?;
@@ -383,7 +387,8 @@ impl Settings {
     pub fn share_done(&self, episodes: u32) -> f64 {
         let work = |episodes: u32| {
             let on_surrogate = episodes.min(self.surrogate_episodes);
-            f64::from(on_surrogate) / f64::from(SURROGATE_EPISODES) + f64::from(episodes - on_surrogate)
+            f64::from(on_surrogate) / f64::from(SURROGATE_EPISODES)
+                + f64::from(episodes - on_surrogate)
         };
         work(episodes) / work(self.episodes)
     }
@@ -391,8 +396,12 @@ impl Settings {
     /// The kind recorded in the manifest of a policy trained with these settings.
     pub fn policy_kind(&self) -> Kind {
         match self.network {
-            Network::FeedForward => Kind::Learned { encoding: self.encoding, widths: self.actor_widths() },
-            Network::Recurrent { .. } => Kind::Recurrent { encoding: self.encoding, hidden: self.hidden as usize },
+            Network::FeedForward => {
+                Kind::Learned { encoding: self.encoding, widths: self.actor_widths() }
+            }
+            Network::Recurrent { .. } => {
+                Kind::Recurrent { encoding: self.encoding, hidden: self.hidden as usize }
+            }
         }
     }
 
@@ -451,7 +460,10 @@ mod tests {
             (paper.episodes, paper.batch, paper.learning_rate, paper.gamma, paper.tau),
             (4000, 16, 1e-4, 0.99, 0.005)
         );
-        assert_eq!((paper.updates_per_step, paper.relabel_share, paper.overdose_factor), (1.0, 0.0, 1.0));
+        assert_eq!(
+            (paper.updates_per_step, paper.relabel_share, paper.overdose_factor),
+            (1.0, 0.0, 1.0)
+        );
         assert_eq!(
             (paper.network, paper.critic_loss),
             (Network::Recurrent { replayed: Replayed::StoredState }, CriticLoss::Huber)
@@ -461,8 +473,11 @@ mod tests {
 
     #[test]
     fn the_share_that_is_done_counts_what_episodes_take() {
-        let settings =
-            Settings { episodes: 1100, surrogate_episodes: 1000, ..Settings::of(Preset::Flip, Order::Random, 1) };
+        let settings = Settings {
+            episodes: 1100,
+            surrogate_episodes: 1000,
+            ..Settings::of(Preset::Flip, Order::Random, 1)
+        };
         let shares = [0, 500, 1000, 1050, 1100].map(|episodes| settings.share_done(episodes));
         assert_eq!(shares, [0.0, 10.0 / 120.0, 20.0 / 120.0, 70.0 / 120.0, 1.0]);
         let all = Settings { surrogate_episodes: 1100, ..settings };
@@ -479,7 +494,8 @@ mod tests {
 
     #[test]
     fn hindsight_is_refused_where_states_are_stored_and_settings_from_before_networks_are_read() {
-        let paper = Settings { relabel_share: 0.5, ..Settings::of(Preset::Paper, Order::Random, 1) };
+        let paper =
+            Settings { relabel_share: 0.5, ..Settings::of(Preset::Paper, Order::Random, 1) };
         assert_eq!(paper.clone().checked().unwrap_err().field, "relabel_share");
         let network = Network::Recurrent { replayed: Replayed::Episodes };
         assert!(Settings { network, ..paper }.checked().is_ok());

@@ -110,8 +110,14 @@ impl Filling for Surrogate {
 
 impl Spoon for SurrogateSpoon {
     fn step(&mut self, action: Action) {
-        self.pitch_deg = (self.pitch_deg + action.incline_change_deg).clamp(self.pitch.lower_deg, self.pitch.upper_deg);
-        let mean = self.spoonful.mean_mg(&RESPONSE, self.pitch_deg, action.executed_shake_mm(), self.vial_mg);
+        self.pitch_deg = (self.pitch_deg + action.incline_change_deg)
+            .clamp(self.pitch.lower_deg, self.pitch.upper_deg);
+        let mean = self.spoonful.mean_mg(
+            &RESPONSE,
+            self.pitch_deg,
+            action.executed_shake_mm(),
+            self.vial_mg,
+        );
         if mean <= 0.0 {
             return;
         }

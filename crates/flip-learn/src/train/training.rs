@@ -4,7 +4,9 @@ use super::checkpoint;
 use super::collect::{Planned, plan, play_round, remembered, stream};
 use super::curriculum::Curriculum;
 use super::environment::{Filling, Played, simulated};
-use super::record::{EpisodeRecord, Event, Flow, Level, Losses, RANDOMISED, Start, TrainError, Trained};
+use super::record::{
+    EpisodeRecord, Event, Flow, Level, Losses, RANDOMISED, Start, TrainError, Trained,
+};
 use super::replay::Replay;
 use super::sac::Learner;
 use super::settings::{Order, SURROGATE_EPISODES, Settings};
@@ -80,24 +82,31 @@ pub fn train_on<F: Filling>(
     let settings = &settings.clone().checked()?;
     let levels = &ordered(levels, settings)?;
     let mut state = match start {
-        Start::Checkpoint(bytes) => checkpoint::decode(bytes, levels, settings).map_err(TrainError::Checkpoint)?,
+        Start::Checkpoint(bytes) => {
+            checkpoint::decode(bytes, levels, settings).map_err(TrainError::Checkpoint)?
+        }
         Start::Nothing => State::new(levels, settings),
         Start::Policy(actor) => State::new(levels, settings).going_on_from(actor, settings)?,
     };
     let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
     while state.progress.episodes < settings.episodes {
         let Some(records) = state.round(levels, settings, &spoons, flow)? else {
-            return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
+            return Err(TrainError::Stopped {
+                checkpoint: checkpoint::encode(&state, levels, settings),
+            });
         };
         let mut stop = false;
         for record in records {
             stop |= on_event(Event::Episode(Box::new(record))).is_break();
         }
         if state.progress.rounds.is_multiple_of(rounds_per_checkpoint(&state.progress, settings)) {
-            stop |= on_event(Event::Checkpoint(checkpoint::encode(&state, levels, settings))).is_break();
+            stop |= on_event(Event::Checkpoint(checkpoint::encode(&state, levels, settings)))
+                .is_break();
         }
         if stop && state.progress.episodes < settings.episodes {
-            return Err(TrainError::Stopped { checkpoint: checkpoint::encode(&state, levels, settings) });
+            return Err(TrainError::Stopped {
+                checkpoint: checkpoint::encode(&state, levels, settings),
+            });
         }
     }
     state.finish(levels, settings)
@@ -122,10 +131,18 @@ fn ordered(levels: &[Level], settings: &Settings) -> Result<Vec<Level>, FieldErr
             let advice = format!("`{}` has no parameter set; calibrate it first", level.powder);
             return Err(FieldError::new(format!("levels[{k}].sets"), advice));
         }
-        flip_core::domain::bounded(&format!("levels[{k}].repose_deg"), level.repose_deg, 0.0, 90.0, "deg")?;
+        flip_core::domain::bounded(
+            &format!("levels[{k}].repose_deg"),
+            level.repose_deg,
+            0.0,
+            90.0,
+            "deg",
+        )?;
     }
     let mut levels = levels.to_vec();
-    levels.sort_by(|a, b| a.repose_deg.total_cmp(&b.repose_deg).then_with(|| a.powder.cmp(&b.powder)));
+    levels.sort_by(|a, b| {
+        a.repose_deg.total_cmp(&b.repose_deg).then_with(|| a.powder.cmp(&b.powder))
+    });
     if settings.order == Order::Reverse {
         levels.reverse();
     }
@@ -137,12 +154,21 @@ impl State {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::INITIALISE]));
         let count = levels.len().max(1) as u32;
         // A random order has no level to advance from.
-        let steps = if matches!(settings.order, Order::Curriculum | Order::Reverse) { count } else { 1 };
-        let first = if settings.surrogate_episodes > 0 { settings.surrogate_episodes } else { settings.episodes };
+        let steps =
+            if matches!(settings.order, Order::Curriculum | Order::Reverse) { count } else { 1 };
+        let first = if settings.surrogate_episodes > 0 {
+            settings.surrogate_episodes
+        } else {
+            settings.episodes
+        };
         Self {
             learner: Learner::new(settings, &mut rng),
             replay: Replay::new(settings),
-            curriculum: Curriculum::new(steps, &settings.curriculum, settings.level_episodes_max(first, count)),
+            curriculum: Curriculum::new(
+                steps,
+                &settings.curriculum,
+                settings.level_episodes_max(first, count),
+            ),
             progress: Progress { on_level: vec![0; count as usize], ..Progress::default() },
         }
     }
@@ -150,7 +176,8 @@ impl State {
     /// Replaces the initial policy with a trained one.
     fn going_on_from(mut self, actor: &Actor, settings: &Settings) -> Result<Self, FieldError> {
         if actor.kind() != settings.policy_kind() {
-            let advice = "is a policy of another network than this training's: take one of the same preset";
+            let advice =
+                "is a policy of another network than this training's: take one of the same preset";
             return Err(FieldError::new("from", advice));
         }
         self.learner.take(actor.to_flat());
@@ -171,19 +198,24 @@ impl State {
         let on_surrogate = first < settings.surrogate_episodes;
         let end = if on_surrogate { settings.surrogate_episodes } else { settings.episodes };
         let count = settings.episodes_per_round.min(end - first);
-        let planned =
-            (first..first + count).map(|index| plan(index, self.curriculum.level(), levels, settings)).collect();
+        let planned = (first..first + count)
+            .map(|index| plan(index, self.curriculum.level(), levels, settings))
+            .collect();
         let diverged = TrainError::Diverged { episodes: first };
         let actor = self.learner.snapshot(settings).ok_or(diverged)?;
         let learns = first >= settings.warmup_episodes;
-        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, settings, flow) else {
+        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, settings, flow)
+        else {
             return Ok(None);
         };
         for (plan, played) in &played {
             self.replay.push(remembered(plan, played, &actor, settings));
             self.count(plan, played);
-            let steps =
-                if on_surrogate { &mut self.progress.surrogate_steps } else { &mut self.progress.learning_steps };
+            let steps = if on_surrogate {
+                &mut self.progress.surrogate_steps
+            } else {
+                &mut self.progress.learning_steps
+            };
             *steps += if learns { played.steps.len() as u64 } else { 0 };
         }
         self.progress.rounds += 1;
@@ -221,7 +253,10 @@ impl State {
         let count = (due.floor() as u64).saturating_sub(self.progress.updates);
         let mut sum = Losses::default();
         for _ in 0..count {
-            let mut rng = Pcg64Mcg::seed_from_u64(derive(settings.seed, &[stream::UPDATE, self.progress.updates]));
+            let mut rng = Pcg64Mcg::seed_from_u64(derive(
+                settings.seed,
+                &[stream::UPDATE, self.progress.updates],
+            ));
             let batch = self.replay.draw(settings, &mut rng);
             let noise: Vec<f32> = (0..4 * batch.reward.len()).map(|_| normal(&mut rng)).collect();
             let seen = self.learner.update(&batch, &noise, settings);
@@ -232,8 +267,12 @@ impl State {
             self.progress.updates += 1;
         }
         let n = count as f64;
-        let mean =
-            Losses { critic: sum.critic / n, actor: sum.actor / n, entropy: sum.entropy / n, alpha: sum.alpha / n };
+        let mean = Losses {
+            critic: sum.critic / n,
+            actor: sum.actor / n,
+            entropy: sum.entropy / n,
+            alpha: sum.alpha / n,
+        };
         (count > 0).then_some(mean)
     }
 
@@ -246,7 +285,11 @@ impl State {
             .map(|(level, &episodes)| LevelManifest {
                 powder: level.powder.clone(),
                 repose_deg: level.repose_deg,
-                sets: level.sets.iter().map(|set| SetManifest { id: set.id(), parameters: *set }).collect(),
+                sets: level
+                    .sets
+                    .iter()
+                    .map(|set| SetManifest { id: set.id(), parameters: *set })
+                    .collect(),
                 episodes,
             })
             .collect();
@@ -269,15 +312,27 @@ impl State {
             final_error_mg: Some(final_error_mg),
         };
         let policy = Policy { manifest: manifest.clone(), controller: Controller::Learned(actor) };
-        Ok(Trained { artifact: flip_policy::encode(&policy), manifest, episodes, final_error_mg, levels })
+        Ok(Trained {
+            artifact: flip_policy::encode(&policy),
+            manifest,
+            episodes,
+            final_error_mg,
+            levels,
+        })
     }
 }
 
-fn record(plan: &Planned, played: &Played, levels: &[Level], losses: Option<Losses>) -> EpisodeRecord {
+fn record(
+    plan: &Planned,
+    played: &Played,
+    levels: &[Level],
+    losses: Option<Losses>,
+) -> EpisodeRecord {
     EpisodeRecord {
         index: plan.index,
         level: plan.level,
-        powder: if plan.randomised { RANDOMISED } else { &levels[plan.level as usize].powder }.to_owned(),
+        powder: if plan.randomised { RANDOMISED } else { &levels[plan.level as usize].powder }
+            .to_owned(),
         parameter_set: plan.set.id(),
         target_mg: played.target_mg,
         dispensed_mg: played.dispensed_mg,

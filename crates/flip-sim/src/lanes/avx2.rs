@@ -104,7 +104,10 @@ impl Lanes for Avx2 {
         unsafe {
             let at = |lane: usize| base.add(index[lane] as usize).cast::<f32>();
             let two = |r: usize| {
-                _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(_mm_loadu_ps(at(r))), _mm_loadu_ps(at(4 + r)))
+                _mm256_insertf128_ps::<1>(
+                    _mm256_castps128_ps256(_mm_loadu_ps(at(r))),
+                    _mm_loadu_ps(at(4 + r)),
+                )
             };
             let [a, b, c, d] = transpose([two(0), two(1), two(2), two(3)]);
             let [e, f, g, h] = transpose([two(8), two(9), two(10), two(11)]);

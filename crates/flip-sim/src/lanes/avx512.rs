@@ -102,7 +102,12 @@ impl Lanes for Avx512 {
         }
     }
     #[inline(always)]
-    unsafe fn exchange(components: [Self; 4], to: &mut [Vector], first: &[u32; WIDTH], second: &[u32; WIDTH]) {
+    unsafe fn exchange(
+        components: [Self; 4],
+        to: &mut [Vector],
+        first: &[u32; WIDTH],
+        second: &[u32; WIDTH],
+    ) {
         let quads = transpose(components.map(|component| component.0));
         let base = to.as_mut_ptr();
         // SAFETY: the caller guarantees that every index is within `to`; `vectors` has four quads

@@ -127,7 +127,12 @@ impl Lanes for Counting {
         // SAFETY: the caller guarantees that every index is below `to.len()`.
         unsafe { Portable::scatter(components.map(|component| component.0), to, index) }
     }
-    unsafe fn exchange(components: [Self; 4], to: &mut [Vector], first: &[u32; WIDTH], second: &[u32; WIDTH]) {
+    unsafe fn exchange(
+        components: [Self; 4],
+        to: &mut [Vector],
+        first: &[u32; WIDTH],
+        second: &[u32; WIDTH],
+    ) {
         scattered(first);
         scattered(second);
         // SAFETY: as above.
@@ -146,7 +151,10 @@ mod tests {
             let y = (x * x + x - x / x).sqrt().max(x);
             y.store(&mut [0.0; WIDTH]);
         });
-        assert_eq!(work, Work { flops: 6 * 16, slow_flops: 2 * 16, streamed_bytes: 2 * 64, gathered_bytes: 0 });
+        assert_eq!(
+            work,
+            Work { flops: 6 * 16, slow_flops: 2 * 16, streamed_bytes: 2 * 64, gathered_bytes: 0 }
+        );
         assert_eq!(counted(|| ()), Work::default());
     }
 }

@@ -74,7 +74,12 @@ pub(super) trait Lanes:
     /// # Safety
     /// Every index is below `to.len()`.
     #[inline(always)]
-    unsafe fn exchange(components: [Self; 4], to: &mut [Vector], first: &[u32; WIDTH], second: &[u32; WIDTH]) {
+    unsafe fn exchange(
+        components: [Self; 4],
+        to: &mut [Vector],
+        first: &[u32; WIDTH],
+        second: &[u32; WIDTH],
+    ) {
         let mut vectors = [[0.0; 4]; WIDTH];
         Self::write_rows(components, &mut vectors);
         for lane in 0..WIDTH {
@@ -167,7 +172,10 @@ impl Path {
         static BEST: OnceLock<Path> = OnceLock::new();
         *BEST.get_or_init(|| {
             let forced = std::env::var("FLIP_SIMD").unwrap_or_default();
-            let named = Self::all().into_iter().find(|(name, _, has)| *has && *name == forced).map(|(_, path, _)| path);
+            let named = Self::all()
+                .into_iter()
+                .find(|(name, _, has)| *has && *name == forced)
+                .map(|(_, path, _)| path);
             named.or(Self::available().last()).unwrap_or(Self::Portable)
         })
     }
@@ -261,7 +269,10 @@ mod tests {
         std::array::from_fn(|l| match derive(seed, &[l as u64]) % 7 {
             0 => 0.0,
             1 => 1.0,
-            k => (derive(seed, &[l as u64, 1]) as f32 / 2f32.powi(63) - 1.0) * 10f32.powi(3 - k as i32),
+            k => {
+                (derive(seed, &[l as u64, 1]) as f32 / 2f32.powi(63) - 1.0)
+                    * 10f32.powi(3 - k as i32)
+            }
         })
     }
 
@@ -277,12 +288,14 @@ mod tests {
             out.extend(lanes.map(f32::to_bits));
         };
         let half = L::splat(0.5);
-        for result in [x + y, x - y, x * y, x / (y * y + half), x.max(y), x.min(y), (x * x).sqrt()] {
+        for result in [x + y, x - y, x * y, x / (y * y + half), x.max(y), x.min(y), (x * x).sqrt()]
+        {
             tell(result);
         }
         let mask = x.below(y);
         tell(L::select(mask, x, y));
-        let vectors: Vec<Vector> = (0..40).map(|k| std::array::from_fn(|c| a[(k + c) % WIDTH] + k as f32)).collect();
+        let vectors: Vec<Vector> =
+            (0..40).map(|k| std::array::from_fn(|c| a[(k + c) % WIDTH] + k as f32)).collect();
         let index = std::array::from_fn(|l| (derive(seed, &[7, l as u64]) % 40) as u32);
         // SAFETY: the indices are below forty.
         let gathered = unsafe { L::gather(&vectors, &index) };
@@ -331,7 +344,9 @@ mod tests {
             }
         }
         if Path::available().count() == 1 {
-            println!("skipped: this processor has neither AVX2 nor AVX-512F, so there is only the portable path");
+            println!(
+                "skipped: this processor has neither AVX2 nor AVX-512F, so there is only the portable path"
+            );
         }
     }
 
@@ -343,7 +358,10 @@ mod tests {
         let mut sums = [[0.0; 4]; 3];
         // SAFETY: the indices are below three.
         unsafe { Portable::exchange(components, &mut sums, &first, &[1; WIDTH]) };
-        assert_eq!(sums, [[1.0, 2.0, 3.0, 1.0], [-16.0, -32.0, -48.0, 16.0], [15.0, 30.0, 45.0, 15.0]]);
+        assert_eq!(
+            sums,
+            [[1.0, 2.0, 3.0, 1.0], [-16.0, -32.0, -48.0, 16.0], [15.0, 30.0, 45.0, 15.0]]
+        );
     }
 
     #[test]

@@ -29,10 +29,18 @@ const DENSITY: f64 = 1.204;
 impl Air {
     pub(super) fn new(extensions: &Extensions, scene: &Scene) -> Self {
         let d = scene.set.particle_diameter_mm() * 1e-3;
-        let density = scene.set.particle_mass_ug() * 1e-9 / (std::f64::consts::PI / 6.0 * d * d * d);
+        let density =
+            scene.set.particle_mass_ug() * 1e-9 / (std::f64::consts::PI / 6.0 * d * d * d);
         let viscosity = VISCOSITY * extensions.air;
-        let inertia = if viscosity > 0.0 { 0.4 * DENSITY * d / (24.0 * viscosity) * d / scene.substep_s } else { 0.0 };
-        Self { rate: (18.0 * viscosity * scene.substep_s / (density * d * d)) as f32, inertia: inertia as f32 }
+        let inertia = if viscosity > 0.0 {
+            0.4 * DENSITY * d / (24.0 * viscosity) * d / scene.substep_s
+        } else {
+            0.0
+        };
+        Self {
+            rate: (18.0 * viscosity * scene.substep_s / (density * d * d)) as f32,
+            inertia: inertia as f32,
+        }
     }
 }
 

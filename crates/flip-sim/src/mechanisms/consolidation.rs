@@ -21,7 +21,10 @@ const AGE: usize = 3;
 
 impl Consolidation {
     pub(super) fn new(extensions: &Extensions, scene: &Scene) -> Self {
-        Self { pull: extensions.consolidation as f32 * scene.bond, half_life: (HALF_LIFE_S / scene.substep_s) as f32 }
+        Self {
+            pull: extensions.consolidation as f32 * scene.bond,
+            half_life: (HALF_LIFE_S / scene.substep_s) as f32,
+        }
     }
 }
 

@@ -44,7 +44,8 @@ impl Mechanism for Film {
         if self.pull == 0.0 && self.share == 0.0 {
             return;
         }
-        let full = (L::splat(self.pull) + L::splat(self.cling) * contact.clings) * contact.lightness;
+        let full =
+            (L::splat(self.pull) + L::splat(self.cling) * contact.clings) * contact.lightness;
         contact.pull = contact.pull + attract(contact.gap, full, L::splat(1.0 / REACH));
     }
 }

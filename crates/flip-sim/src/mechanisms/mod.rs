@@ -108,7 +108,8 @@ impl Extensions {
     /// An unknown name.
     pub fn patched(mut self, patch: &Patch) -> Result<Self, FieldError> {
         for (name, more) in &patch.amplitudes {
-            let (now, upper) = match self.amplitudes().into_iter().find(|(known, ..)| known == name) {
+            let (now, upper) = match self.amplitudes().into_iter().find(|(known, ..)| known == name)
+            {
                 Some((_, now, upper)) => (*now, upper),
                 None => (0.0, 0.0),
             };

@@ -38,7 +38,14 @@ impl Rolling {
     /// Torque against `turning` and the updated stretch, for contacts of this radius and share.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]
-    fn resist<L: Lanes>(&self, stretch: V3<L>, turning: V3<L>, radius: L, side: L, push: L) -> [V3<L>; 2] {
+    fn resist<L: Lanes>(
+        &self,
+        stretch: V3<L>,
+        turning: V3<L>,
+        radius: L,
+        side: L,
+        push: L,
+    ) -> [V3<L>; 2] {
         let s = add(stretch, turning);
         let r2 = radius * radius * side;
         let (k, c) = (L::splat(self.stiffness) * r2, L::splat(self.damping) * r2);
@@ -65,8 +72,10 @@ impl Mechanism for Rolling {
         let zero = L::splat(0.0);
         let [mine, theirs] = pair.radii;
         let radius = (mine + mine) * theirs / (mine + theirs);
-        let stretch = [L::load(&pair.memory[0]), L::load(&pair.memory[1]), L::load(&pair.memory[2])];
-        let [torque, stretch] = self.resist(stretch, pair.turning, radius, pair.reduced_mass, pair.push);
+        let stretch =
+            [L::load(&pair.memory[0]), L::load(&pair.memory[1]), L::load(&pair.memory[2])];
+        let [torque, stretch] =
+            self.resist(stretch, pair.turning, radius, pair.reduced_mass, pair.push);
         let kept: [L; 3] = choose(pair.touch, stretch, [zero; 3]);
         kept[0].store(&mut pair.memory[0]);
         kept[1].store(&mut pair.memory[1]);
@@ -82,7 +91,8 @@ impl Mechanism for Rolling {
         let zero = L::splat(0.0);
         // A wall does not yield: the grain takes the whole stretch.
         let side = L::splat(2.0);
-        let [torque, stretch] = self.resist(*contact.stretch, contact.spin, contact.radius, side, contact.push);
+        let [torque, stretch] =
+            self.resist(*contact.stretch, contact.spin, contact.radius, side, contact.push);
         let touch: Mask = contact.touch;
         *contact.stretch = choose(touch, stretch, [zero; 3]);
         contact.torque = sub(contact.torque, choose(touch, torque, [zero; 3]));

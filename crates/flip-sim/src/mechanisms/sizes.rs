@@ -25,9 +25,11 @@ impl Sizes {
         if self.spread == 0.0 {
             return 0.5;
         }
-        let uniform = |k| ((derive(0x512E, &[u64::from(id), k]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+        let uniform =
+            |k| ((derive(0x512E, &[u64::from(id), k]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
         // Box and Muller 1958, with functions that give the same bits on every machine.
-        let z = libm::sqrt(-2.0 * libm::log(uniform(0))) * libm::cos(std::f64::consts::TAU * uniform(1));
+        let z = libm::sqrt(-2.0 * libm::log(uniform(0)))
+            * libm::cos(std::f64::consts::TAU * uniform(1));
         let z = z.clamp(-CUT, CUT);
         (0.5 * libm::exp(self.spread * z - 1.5 * self.spread * self.spread)) as f32
     }

@@ -17,7 +17,9 @@ fn set() -> ParameterSet {
 }
 
 fn with(amplitudes: &[(&str, f64)]) -> Extensions {
-    amplitudes.iter().fold(Extensions::default(), |all, (name, amplitude)| all.with(name, *amplitude).unwrap())
+    amplitudes
+        .iter()
+        .fold(Extensions::default(), |all, (name, amplitude)| all.with(name, *amplitude).unwrap())
 }
 
 fn law(amplitudes: &[(&str, f64)], site: Site) -> Law {
@@ -39,7 +41,11 @@ fn thrown(law: &Law, path: Path) -> String {
     let mut grains = Grains::on(path);
     for k in 0..150u8 {
         let [x, y, z] = [k % 5, k / 5 % 5, k / 25].map(f32::from);
-        grains.pour(law, vector(1.1 * x + 0.01 * z, 1.1 * y, 0.6 + 1.1 * z), vector(0.0, 0.0, -0.01));
+        grains.pour(
+            law,
+            vector(1.1 * x + 0.01 * z, 1.1 * y, 0.6 + 1.1 * z),
+            vector(0.0, 0.0, -0.01),
+        );
     }
     let plate = Shape::Plate(Plate { radius: 4.0 });
     for _ in 0..1500 {
@@ -79,7 +85,11 @@ fn an_amplitude_of_zero_gives_the_bytes_of_the_base_for_every_mechanism() {
         // Rolling friction without rotation has nothing to act on, and the spoon's mechanisms act
         // only in the spoon.
         if name != "rolling_friction" {
-            assert_ne!(outcome(Extensions::default().with(name, 0.5 * upper).unwrap()), base, "{name}");
+            assert_ne!(
+                outcome(Extensions::default().with(name, 0.5 * upper).unwrap()),
+                base,
+                "{name}"
+            );
         }
     }
 }
@@ -99,7 +109,10 @@ fn every_path_gives_the_same_bytes_with_every_mechanism() {
 #[test]
 fn an_unknown_mechanism_and_an_amplitude_out_of_bounds_are_refused_by_name() {
     let refusal = Extensions::default().with("magnetism", 1.0).unwrap_err();
-    assert!(refusal.field == "extension" && refusal.message.contains("rotation, rolling_friction"), "{refusal:?}");
+    assert!(
+        refusal.field == "extension" && refusal.message.contains("rotation, rolling_friction"),
+        "{refusal:?}"
+    );
     assert_eq!(Extensions::default().with("rotation", 1.5).unwrap_err().field, "rotation");
 }
 
@@ -159,7 +172,8 @@ fn two_spinning_grains_keep_momentum_and_angular_momentum_in_an_oblique_collisio
 fn radii_have_the_spread_that_was_asked_for_and_the_mean_volume_of_equal_grains() {
     let sizes = law(&[("size_spread", 0.2)], Site::Base).mechanisms.sizes;
     let radii: Vec<f64> = (0..20_000).map(|id| f64::from(sizes.radius(id))).collect();
-    let mean = |of: fn(f64) -> f64| radii.iter().map(|r| of(2.0 * r)).sum::<f64>() / radii.len() as f64;
+    let mean =
+        |of: fn(f64) -> f64| radii.iter().map(|r| of(2.0 * r)).sum::<f64>() / radii.len() as f64;
     let log = mean(f64::ln);
     let spread = mean(|r| r.ln() * r.ln()) - log * log;
     // Cutting at 2.5 standard deviations removes 2 % of the spread and of the largest volumes.
@@ -174,7 +188,10 @@ fn unequal_grains_keep_momentum_and_rest_on_each_other_surface_to_surface() {
     pair.pour(&law, vector(0.0, 0.0, 0.0), vector(0.02, 0.0, 0.0));
     pair.pour(&law, vector(1.6, 0.2, 0.0), vector(-0.02, 0.0, 0.0));
     let momentum = |g: &Grains| -> f64 {
-        [0, 1].iter().map(|&id| f64::from(g.grain(id).0[3]).powi(3) * f64::from(g.grain(id).1[0])).sum()
+        [0, 1]
+            .iter()
+            .map(|&id| f64::from(g.grain(id).0[3]).powi(3) * f64::from(g.grain(id).1[0]))
+            .sum()
     };
     let before = momentum(&pair);
     (0..200).for_each(|_| pair.substep(&law, [0.0; 4], &Shape::Nowhere));
@@ -196,11 +213,16 @@ fn strength(amplitudes: &[(&str, f64)], wait: f64, seconds: f64) -> f64 {
         pair.fix(vector(0.0, 0.0, 0.0));
         pair.pour(&law, vector(0.0, 0.0, -0.999), [0.0; 4]);
         // Held against the fixed grain by an upward weight.
-        (0..substeps(wait)).for_each(|_| pair.substep(&law, vector(0.0, 0.0, law.gravity), &Shape::Nowhere));
+        (0..substeps(wait))
+            .for_each(|_| pair.substep(&law, vector(0.0, 0.0, law.gravity), &Shape::Nowhere));
         // Ramped slowly, because a sudden pull overshoots by up to a factor of two.
         for substep in 0..substeps(seconds) {
             let share = (2.0 * f64::from(substep) / f64::from(substeps(seconds))).min(1.0);
-            pair.substep(&law, vector(0.0, 0.0, -law.gravity * (share * bond) as f32), &Shape::Nowhere);
+            pair.substep(
+                &law,
+                vector(0.0, 0.0, -law.gravity * (share * bond) as f32),
+                &Shape::Nowhere,
+            );
         }
         pair.grain(1).0[2] > -1.2
     };

@@ -97,7 +97,8 @@ impl Solver {
     /// Advances one frame; the equations are in the [module's documentation](super).
     pub(crate) fn frame(&mut self, law: &Law, acceleration: Vector, wall: &impl Wall) {
         for v in &mut self.v {
-            *v = [0, 1, 2, 3].map(|k| if k < 3 { (v[k] + acceleration[k]) * law.drag } else { 0.0 });
+            *v =
+                [0, 1, 2, 3].map(|k| if k < 3 { (v[k] + acceleration[k]) * law.drag } else { 0.0 });
         }
         self.find_pairs(law, 0.5);
         self.find_contacts(law, wall);
@@ -229,7 +230,8 @@ impl Solver {
             let m = (-contact.pressed).min(-law.wall_pull(sep)).max(-sep);
             contact.pressed = (contact.pressed + m).max(0.0);
             let (slip, length) = tangential(moved, contact.normal);
-            let grip = (law.wall_friction * contact.pressed).min(length + contact.held) - contact.held;
+            let grip =
+                (law.wall_friction * contact.pressed).min(length + contact.held) - contact.held;
             contact.held += grip;
             let sum = plus(self.sum[i], contact.normal, law.wall_relaxation * m);
             let back = if length >= SLIP_MIN { law.wall_relaxation * grip / length } else { 0.0 };
@@ -241,7 +243,9 @@ impl Solver {
     /// Applies the corrections: each moves its grain and changes its velocity by the correction
     /// over the `per_frame`-th part of a frame.
     fn correct(&mut self, per_frame: f32) {
-        for (((x, v), moved), sum) in self.x.iter_mut().zip(&mut self.v).zip(&mut self.moved).zip(&self.sum) {
+        for (((x, v), moved), sum) in
+            self.x.iter_mut().zip(&mut self.v).zip(&mut self.moved).zip(&self.sum)
+        {
             *x = plus(*x, *sum, 1.0);
             *moved = plus(*moved, *sum, 1.0);
             *v = plus(*v, *sum, per_frame);
@@ -270,7 +274,8 @@ impl Solver {
 
     /// The reason why the state is meaningless, if any.
     pub(crate) fn fault(&self) -> Option<String> {
-        let lost = self.x.iter().zip(&self.v).position(|(x, v)| !(dot(*x, *x) + dot(*v, *v)).is_finite());
+        let lost =
+            self.x.iter().zip(&self.v).position(|(x, v)| !(dot(*x, *x) + dot(*v, *v)).is_finite());
         lost.map(|place| format!("grain {place} has no position"))
     }
 

@@ -50,7 +50,10 @@ fn small() -> Settings {
 
 #[test]
 fn mass_is_inert() {
-    assert_eq!(heap(&[("particle_mass_ug", 13.0)], &small()), heap(&[("particle_mass_ug", 16.5)], &small()));
+    assert_eq!(
+        heap(&[("particle_mass_ug", 13.0)], &small()),
+        heap(&[("particle_mass_ug", 16.5)], &small())
+    );
 }
 
 #[test]
@@ -79,13 +82,23 @@ fn adhesion_between_grains_is_off_for_every_radius_scale_up_to_one() {
             "radius scale {radius_scale}"
         );
     }
-    assert_ne!(collapse(&Law { radius_scale: 1.2, grain_adhesion: 1.69, ..plain }, &Shape::Nowhere), alone);
+    assert_ne!(
+        collapse(&Law { radius_scale: 1.2, grain_adhesion: 1.69, ..plain }, &Shape::Nowhere),
+        alone
+    );
 }
 
 #[test]
 fn the_particle_adhesion_scale_is_inert_within_the_published_bounds() {
     let sticky = |scale| {
-        heap(&[("adhesion", 1.3), ("adhesion_offset_scale", 0.000_05), ("particle_adhesion_scale", scale)], &small())
+        heap(
+            &[
+                ("adhesion", 1.3),
+                ("adhesion_offset_scale", 0.000_05),
+                ("particle_adhesion_scale", scale),
+            ],
+            &small(),
+        )
     };
     assert_eq!(sticky(0.0), sticky(1.3));
     assert_ne!(sticky(1.0), heap(&[], &small()));
@@ -120,13 +133,17 @@ fn attraction_between_grains_peaks_at_a_ninth_of_the_aura_and_saturates_at_the_g
         let aura = radius_scale - 1.0;
         let (at, largest) = peak(aura, |e| law.grain_pull(e));
         // d/de (1 - e/aura)^8 e = 0 at aura/9: (8/9)^8 / 9 = 0.0433.
-        assert!((at / aura - 1.0 / 9.0).abs() < 1e-3 && (largest / aura - 0.043_30).abs() < 1e-4, "{at}, {largest}");
+        assert!(
+            (at / aura - 1.0 / 9.0).abs() < 1e-3 && (largest / aura - 0.043_30).abs() < 1e-4,
+            "{at}, {largest}"
+        );
         assert_eq!(law.grain_pull(aura), 0.0);
         // m <= e: a pull of three gaps closes the gap and no more, so two strong adhesions act
         // alike near contact.
         let strong = |grain_adhesion| {
             let law = Law { grain_adhesion, iterations: 1, ..law };
-            let mut pair = solver(&[([0.0; 4], [0.0; 4]), (vector(1.0 + 0.01 * aura, 0.0, 0.0), [0.0; 4])]);
+            let mut pair =
+                solver(&[([0.0; 4], [0.0; 4]), (vector(1.0 + 0.01 * aura, 0.0, 0.0), [0.0; 4])]);
             pair.frame(&law, [0.0; 4], &Shape::Nowhere);
             format!("{:?}", pair.centres())
         };
@@ -141,9 +158,16 @@ fn attraction_to_walls_has_its_closed_form_and_grows_again_beyond_the_radius() {
     let radius = 0.2f32;
     let (at, largest) = peak(radius, |sep| law.wall_pull(sep));
     // d/ds (1 - s/R)^4 s = 0 at R/5: (4/5)^4 / 5 = 0.0819.
-    assert!((at / radius - 0.2).abs() < 1e-3 && (largest / (0.7 * radius) - 0.081_92).abs() < 1e-4, "{at}, {largest}");
+    assert!(
+        (at / radius - 0.2).abs() < 1e-3 && (largest / (0.7 * radius) - 0.081_92).abs() < 1e-4,
+        "{at}, {largest}"
+    );
     assert!(law.wall_pull(radius) < 1e-6 && law.wall_pull(1.5 * radius) > 0.0);
-    assert!(law.wall_pull(3.0 * radius) > 10.0 * largest, "the even power grows: {}", law.wall_pull(3.0 * radius));
+    assert!(
+        law.wall_pull(3.0 * radius) > 10.0 * largest,
+        "the even power grows: {}",
+        law.wall_pull(3.0 * radius)
+    );
     assert_eq!(law.wall_pull(-0.1), 0.0);
 }
 
@@ -176,7 +200,10 @@ fn a_grain_hangs_from_a_wall_whatever_its_adhesion_once_the_radius_scale_is_not_
     assert!(!hangs(&[("adhesion", 1.3)]));
     assert!(!hangs(&[("adhesion_offset_scale", 0.000_05)]));
     for adhesion in [0.2, 1.3] {
-        assert!(hangs(&[("adhesion", adhesion), ("adhesion_offset_scale", 0.000_05)]), "adhesion {adhesion}");
+        assert!(
+            hangs(&[("adhesion", adhesion), ("adhesion_offset_scale", 0.000_05)]),
+            "adhesion {adhesion}"
+        );
     }
 }
 
@@ -230,7 +257,10 @@ fn a_lone_grain_rests_on_a_gentle_slope_climbs_a_steeper_one_and_slides_above_th
     assert!((slide(0.39).0 + 2.516).abs() < 0.01, "{} d/s", slide(0.39).0);
     for slope in [0.45, 0.5] {
         let acceleration = slide(slope).1;
-        assert!((acceleration / (slope - 0.4) - 1.0).abs() < 0.02, "{acceleration} at slope {slope}");
+        assert!(
+            (acceleration / (slope - 0.4) - 1.0).abs() < 0.02,
+            "{acceleration} at slope {slope}"
+        );
     }
 }
 
@@ -240,7 +270,10 @@ fn no_grain_is_faster_than_the_speed_limit() {
     let mut one = solver(&[([0.0; 4], vector(0.3, 0.0, 0.4))]);
     one.frame(&law, [0.0; 4], &Shape::Nowhere);
     let (x, v) = (one.centres()[0], one.velocities()[0]);
-    assert!((v[0] - 0.12).abs() < 1e-6 && (v[2] - 0.16).abs() < 1e-6 && (x[0] - 0.12).abs() < 1e-6, "{x:?} {v:?}");
+    assert!(
+        (v[0] - 0.12).abs() < 1e-6 && (v[2] - 0.16).abs() < 1e-6 && (x[0] - 0.12).abs() < 1e-6,
+        "{x:?} {v:?}"
+    );
 }
 
 #[test]
@@ -250,7 +283,10 @@ fn one_iteration_has_its_closed_form_with_sticking_and_slipping_friction() {
     for (friction, speed) in [(0.5, 0.02f32), (0.5, 0.004), (0.0, 0.02)] {
         let law = Law { friction: friction as f32, ..Law::new(&set(&[]), FRAME_S, 1) };
         let (overlap, relaxation) = (0.01f32, 0.9f32);
-        let mut pair = solver(&[([0.0; 4], vector(0.0, speed, 0.0)), (vector(1.0 - overlap, speed, 0.0), [0.0; 4])]);
+        let mut pair = solver(&[
+            ([0.0; 4], vector(0.0, speed, 0.0)),
+            (vector(1.0 - overlap, speed, 0.0), [0.0; 4]),
+        ]);
         pair.frame(&law, [0.0; 4], &Shape::Nowhere);
         let grip = (friction as f32 * overlap).min(speed);
         let [a, b] = [pair.velocities()[0], pair.velocities()[1]];
@@ -278,7 +314,10 @@ fn the_friction_of_a_frame_stays_below_coulombs_cap_and_reaches_it_in_slip() {
         }
         let sliding = one.velocities()[0][0];
         let expected = if slips { speed - 5.0 * 0.4 * law.gravity } else { 0.0 };
-        assert!((sliding - expected).abs() < 0.05 * 5.0 * 0.4 * law.gravity, "{sliding} for {expected}");
+        assert!(
+            (sliding - expected).abs() < 0.05 * 5.0 * 0.4 * law.gravity,
+            "{sliding} for {expected}"
+        );
     }
 }
 
@@ -333,7 +372,8 @@ fn a_heap_creeps_where_the_physical_one_rests() {
 
 #[test]
 fn settings_of_before_are_read_as_the_physical_semantics() {
-    let stored: Settings = serde_json::from_str(r#"{"particles": 300, "substep_s": 0.0001}"#).unwrap();
+    let stored: Settings =
+        serde_json::from_str(r#"{"particles": 300, "substep_s": 0.0001}"#).unwrap();
     assert_eq!(stored.compat, Compat::Physical);
     assert!(serde_json::to_string(&small()).unwrap().contains(r#""compat":"physx""#));
 }

@@ -144,7 +144,8 @@ pub(super) fn front(centres: &[Vector]) -> f64 {
         counts[ring] += 1.0;
     }
     // A grain covers pi / 4, ring k has the area pi (2 k + 1).
-    let coverage = |ring: usize| counts.get(ring).map_or(0.0, |count| count / 4.0 / (2 * ring + 1) as f64);
+    let coverage =
+        |ring: usize| counts.get(ring).map_or(0.0, |count| count / 4.0 / (2 * ring + 1) as f64);
     let bare = (1..=counts.len()).find(|&ring| coverage(ring) < COVERED).unwrap_or(0);
     let (within, beyond) = (coverage(bare.saturating_sub(1)), coverage(bare));
     bare as f64 - 0.5 + ((within - COVERED) / (within - beyond)).clamp(0.0, 1.0)
@@ -152,6 +153,7 @@ pub(super) fn front(centres: &[Vector]) -> f64 {
 
 /// Mean height of the surface around the axis, grain diameters.
 fn height(centres: &[Vector]) -> f64 {
-    let near: Vec<f64> = surface(centres, 3.0).filter(|(at, _)| at[0].hypot(at[1]) < 3.0).map(|(_, z)| z).collect();
+    let near: Vec<f64> =
+        surface(centres, 3.0).filter(|(at, _)| at[0].hypot(at[1]) < 3.0).map(|(_, z)| z).collect();
     near.iter().sum::<f64>() / near.len() as f64
 }

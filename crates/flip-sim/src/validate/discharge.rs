@@ -1,7 +1,9 @@
 //! Silos: discharge rate through an orifice, and load on the floor.
 
 use super::super::law::Law;
-use super::super::scene::{advance, cut, down, fall_time, line, packing_fraction, power_law, rain, settle, top};
+use super::super::scene::{
+    advance, cut, down, fall_time, line, packing_fraction, power_law, rain, settle, top,
+};
 use super::super::shapes::Silo;
 use super::super::walls::{Shape, Wall};
 use super::{Check, Experiment, SMOOTH, Suite};
@@ -14,7 +16,11 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
         checks: &["beverloo_exponent", "beverloo_constant", "beverloo_offset", "beverloo_head"],
         run: beverloo,
     },
-    Experiment { name: "janssen", checks: &["janssen_saturation", "janssen_stress_ratio"], run: janssen },
+    Experiment {
+        name: "janssen",
+        checks: &["janssen_saturation", "janssen_stress_ratio"],
+        run: janssen,
+    },
 ];
 
 /// Orifice diameters, grain diameters: from six, below which arches form, to 2/5 of the silo's.
@@ -36,7 +42,8 @@ const OFFSET: f64 = 1.4;
 fn beverloo(suite: &Suite) -> Vec<Check> {
     let law = suite.law_of_deep_bed(SMOOTH);
     let full = |grains: &Grains| f64::from(top(grains)) > HEIGHT + 1.0;
-    let beds: Vec<Grains> = (1..=BEDS).map(|seed| rain(&law, &Silo::closed(RADIUS as f32), 1.0, seed, full)).collect();
+    let beds: Vec<Grains> =
+        (1..=BEDS).map(|seed| rain(&law, &Silo::closed(RADIUS as f32), 1.0, seed, full)).collect();
     let rate = |orifice: f64, height: f64| {
         let of = |bed: &Grains| {
             let bulk = packing_fraction(bed, RADIUS - 3.0, [3.0, HEIGHT - 4.0]);
@@ -44,7 +51,8 @@ fn beverloo(suite: &Suite) -> Vec<Check> {
         };
         beds.iter().map(of).sum::<f64>() / beds.len() as f64
     };
-    let rates: Vec<[f64; 2]> = ORIFICES.iter().map(|&orifice| [orifice, rate(orifice, HEIGHT)]).collect();
+    let rates: Vec<[f64; 2]> =
+        ORIFICES.iter().map(|&orifice| [orifice, rate(orifice, HEIGHT)]).collect();
     let [exponent, _] = power_law(&rates.iter().map(|[d, w]| [d - OFFSET, *w]).collect::<Vec<_>>());
     let [slope, at_zero] = line(&rates.iter().map(|[d, w]| [*d, w.powf(0.4)]).collect::<Vec<_>>());
     let head = rate(ORIFICES[1], 0.5 * HEIGHT) / rates[1][1] - 1.0;
@@ -110,8 +118,20 @@ fn janssen(suite: &Suite) -> Vec<Check> {
     // m_sat in grains, with a packing fraction of 0.6 in the bulk: K to a few percent.
     let stress_ratio = 0.6 * 6.0 * COLUMN.powi(3) / (2.0 * SMOOTH * saturated);
     vec![
-        Check::near("janssen_saturation", 1.0 - error(saturated) / spread, [1.0, 0.02], "R2", "Janssen 1895"),
-        Check::within("janssen_stress_ratio", stress_ratio, [0.4, 0.9], "", "Janssen 1895: K of granular matter"),
+        Check::near(
+            "janssen_saturation",
+            1.0 - error(saturated) / spread,
+            [1.0, 0.02],
+            "R2",
+            "Janssen 1895",
+        ),
+        Check::within(
+            "janssen_stress_ratio",
+            stress_ratio,
+            [0.4, 0.9],
+            "",
+            "Janssen 1895: K of granular matter",
+        ),
     ]
 }
 

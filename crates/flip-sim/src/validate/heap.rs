@@ -8,27 +8,57 @@ use flip_core::domain::parameters::ParameterSet;
 
 pub(super) const EXPERIMENTS: &[Experiment] = &[
     Experiment { name: "repose_size", checks: &["repose_size"], run: size },
-    Experiment { name: "repose_substep", checks: &["repose_substep", "repose_substep_error"], run: substep },
-    Experiment { name: "repose_funnel", checks: &["repose_funnel", "repose_funnel_scatter"], run: funnel },
-    Experiment { name: "repose_friction", checks: &["repose_friction", "repose_friction_rise"], run: friction },
-    Experiment { name: "repose_cohesion", checks: &["repose_cohesion", "repose_cohesion_rise"], run: cohesion },
-    Experiment { name: "repose_base_friction", checks: &["repose_base_friction"], run: base_friction },
+    Experiment {
+        name: "repose_substep",
+        checks: &["repose_substep", "repose_substep_error"],
+        run: substep,
+    },
+    Experiment {
+        name: "repose_funnel",
+        checks: &["repose_funnel", "repose_funnel_scatter"],
+        run: funnel,
+    },
+    Experiment {
+        name: "repose_friction",
+        checks: &["repose_friction", "repose_friction_rise"],
+        run: friction,
+    },
+    Experiment {
+        name: "repose_cohesion",
+        checks: &["repose_cohesion", "repose_cohesion_rise"],
+        run: cohesion,
+    },
+    Experiment {
+        name: "repose_base_friction",
+        checks: &["repose_base_friction"],
+        run: base_friction,
+    },
     Experiment {
         name: "rest_free_flowing",
         checks: &["rest_creep", "rest_speed", "rest_overlap_mean", "rest_overlap_max"],
         run: rest_free_flowing,
     },
-    Experiment { name: "rest_cohesive", checks: &["rest_cohesive_creep", "rest_cohesive_speed"], run: rest_cohesive },
+    Experiment {
+        name: "rest_cohesive",
+        checks: &["rest_cohesive_creep", "rest_cohesive_speed"],
+        run: rest_cohesive,
+    },
 ];
 
 /// Two means count as different if they differ by more than this many standard errors of the
 /// difference.
 const SIGNIFICANT: f64 = 2.0;
 /// Source of the requirements on every heap.
-const ZHOU: &str = "Zhou et al. 2001, Phys. Rev. E 64, 021301: friction decides, within two standard errors";
+const ZHOU: &str =
+    "Zhou et al. 2001, Phys. Rev. E 64, 021301: friction decides, within two standard errors";
 
 /// Heaps that differ only by their seed; none for those without an angle.
-fn heaps(suite: &Suite, powder: &ParameterSet, settings: &Settings, seeds: u64) -> Vec<Option<Repose>> {
+fn heaps(
+    suite: &Suite,
+    powder: &ParameterSet,
+    settings: &Settings,
+    seeds: u64,
+) -> Vec<Option<Repose>> {
     (1..=seeds).map(|seed| suite.heap(powder, settings, seed).ok()).collect()
 }
 
@@ -108,7 +138,8 @@ fn funnel(suite: &Suite) -> Vec<Check> {
     let means = [2.0, 3.0, 5.0].map(at);
     let [degrees, error] = difference(&means);
     // The standard error of a mean of n is the scatter of one heap over the root of n.
-    let scatter = means.iter().map(|mean| mean.error * mean.error * HEAPS as f64).sum::<f64>() / means.len() as f64;
+    let scatter = means.iter().map(|mean| mean.error * mean.error * HEAPS as f64).sum::<f64>()
+        / means.len() as f64;
     let source = "an angle of repose belongs to the powder, within two standard errors";
     let one = "an angle of repose belongs to the powder, within the scatter of one heap";
     vec![
@@ -118,20 +149,36 @@ fn funnel(suite: &Suite) -> Vec<Check> {
 }
 
 fn size(suite: &Suite) -> Vec<Check> {
-    let of = |particles: u32, seeds: u64| angle(suite, &suite.powder, &Settings::with_particles(particles), seeds);
+    let of = |particles: u32, seeds: u64| {
+        angle(suite, &suite.powder, &Settings::with_particles(particles), seeds)
+    };
     // Enough heaps for a standard error of about 0.2 deg each.
     let means = [of(2000, 32), of(4000, 16), of(8000, 10)];
     let [degrees, _] = difference(&means);
-    vec![Check::near("repose_size", degrees, [0.0, 1.5], "deg", "an angle of repose belongs to the powder")]
+    vec![Check::near(
+        "repose_size",
+        degrees,
+        [0.0, 1.5],
+        "deg",
+        "an angle of repose belongs to the powder",
+    )]
 }
 
 fn substep(suite: &Suite) -> Vec<Check> {
-    let of = |substep_s: f64| angle(suite, &suite.powder, &Settings { substep_s, ..Settings::default() }, 12);
+    let of = |substep_s: f64| {
+        angle(suite, &suite.powder, &Settings { substep_s, ..Settings::default() }, 12)
+    };
     let (whole, half) = (of(SUBSTEP_S), of(0.5 * SUBSTEP_S));
     let source = "converged in the substep: half of it, mean of 12 heaps each";
     vec![
         Check::near("repose_substep", half.mean - whole.mean, [0.0, 1.0], "deg", source),
-        Check::within("repose_substep_error", whole.error.hypot(half.error), [0.0, 0.5], "deg", "its standard error"),
+        Check::within(
+            "repose_substep_error",
+            whole.error.hypot(half.error),
+            [0.0, 0.5],
+            "deg",
+            "its standard error",
+        ),
     ]
 }
 
@@ -150,8 +197,20 @@ fn rest_free_flowing(suite: &Suite) -> Vec<Check> {
     vec![
         Check::within("rest_creep", worst(&heaps, CREEP), [0.0, 0.02], "deg/s", REST),
         Check::within("rest_speed", worst(&heaps, SPEED), [0.0, 0.05], "mm/s", REST),
-        Check::within("rest_overlap_mean", worst(&heaps, |heap| 100.0 * heap.overlap_mean), [0.0, 0.5], "% of d", hard),
-        Check::within("rest_overlap_max", worst(&heaps, |heap| 100.0 * heap.overlap_max), [0.0, 5.0], "% of d", hard),
+        Check::within(
+            "rest_overlap_mean",
+            worst(&heaps, |heap| 100.0 * heap.overlap_mean),
+            [0.0, 0.5],
+            "% of d",
+            hard,
+        ),
+        Check::within(
+            "rest_overlap_max",
+            worst(&heaps, |heap| 100.0 * heap.overlap_max),
+            [0.0, 5.0],
+            "% of d",
+            hard,
+        ),
     ]
 }
 
@@ -159,9 +218,13 @@ fn rest_free_flowing(suite: &Suite) -> Vec<Check> {
 /// yields it.
 fn rest_cohesive(suite: &Suite) -> Vec<Check> {
     let (cohesion, diameter, bond) = (1.2, 0.22, 2.0);
-    let gravity_scale = BOND_PER_COHESION * cohesion * (DIAMETER_REFERENCE_MM / diameter).powi(2) / bond;
-    let powder =
-        suite.powder(&[("cohesion", cohesion), ("particle_diameter_mm", diameter), ("gravity_scale", gravity_scale)]);
+    let gravity_scale =
+        BOND_PER_COHESION * cohesion * (DIAMETER_REFERENCE_MM / diameter).powi(2) / bond;
+    let powder = suite.powder(&[
+        ("cohesion", cohesion),
+        ("particle_diameter_mm", diameter),
+        ("gravity_scale", gravity_scale),
+    ]);
     let heaps = heaps(suite, &powder, &Settings::default(), 3);
     vec![
         Check::within("rest_cohesive_creep", worst(&heaps, CREEP), [0.0, 0.1], "deg/s", REST),

@@ -104,7 +104,16 @@ impl Check {
         source: &'static str,
     ) -> Self {
         let passed = (measured - expected).abs() <= tolerance;
-        let mut check = Self { name, measured, expected, tolerance, unit, passed, known_deviation: None, source };
+        let mut check = Self {
+            name,
+            measured,
+            expected,
+            tolerance,
+            unit,
+            passed,
+            known_deviation: None,
+            source,
+        };
         let known = KNOWN.iter().find(|(known, _)| *known == name).map(|(_, deviation)| *deviation);
         check.known_deviation = known.filter(|deviation| !passed && check.miss() <= deviation.miss);
         check
@@ -163,7 +172,9 @@ impl Suite {
 
     /// The reference powder with some parameters changed.
     fn powder(&self, changes: &[(&str, f64)]) -> ParameterSet {
-        changes.iter().fold(self.powder, |set, (key, value)| set.with(key, *value).expect("a value within its bounds"))
+        changes.iter().fold(self.powder, |set, (key, value)| {
+            set.with(key, *value).expect("a value within its bounds")
+        })
     }
 
     /// The law of the reference powder against a wall of this Coulomb coefficient.
@@ -186,8 +197,17 @@ impl Suite {
     }
 
     /// The heap experiment of [`super::repose`].
-    fn heap(&self, powder: &ParameterSet, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
-        repose_under(self.law_with(powder, settings.base_friction, settings.substep_s), settings, seed)
+    fn heap(
+        &self,
+        powder: &ParameterSet,
+        settings: &Settings,
+        seed: u64,
+    ) -> Result<Repose, Refusal> {
+        repose_under(
+            self.law_with(powder, settings.base_friction, settings.substep_s),
+            settings,
+            seed,
+        )
     }
 }
 

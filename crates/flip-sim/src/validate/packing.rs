@@ -6,7 +6,11 @@ use super::{Check, Experiment, SMOOTH, Suite};
 
 pub(super) const EXPERIMENTS: &[Experiment] = &[
     Experiment { name: "packing_poured", checks: &["packing_poured"], run: poured },
-    Experiment { name: "packing_frictionless", checks: &["packing_frictionless"], run: frictionless },
+    Experiment {
+        name: "packing_frictionless",
+        checks: &["packing_frictionless"],
+        run: frictionless,
+    },
 ];
 
 /// Radius of the container and height of the filling, grain diameters.
@@ -30,6 +34,7 @@ fn fraction(suite: &Suite, with_friction: bool) -> f64 {
         law.grain.friction = 0.0;
         law.wall.friction = 0.0;
     }
-    let bed = rain(&law, &Silo::closed(RADIUS as f32), 0.4, 1, |grains| f64::from(top(grains)) > HEIGHT);
+    let bed =
+        rain(&law, &Silo::closed(RADIUS as f32), 0.4, 1, |grains| f64::from(top(grains)) > HEIGHT);
     packing_fraction(&bed, RADIUS - 5.0, [4.0, HEIGHT - 4.0])
 }

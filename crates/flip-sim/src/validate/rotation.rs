@@ -35,7 +35,11 @@ const ROLLING: f64 = 0.3;
 fn smooth_plate(suite: &Suite) -> Vec<Check> {
     let powder = suite.powder(&[("friction", FRICTION)]);
     let rolling = Extensions { rotation: 1.0, ..suite.extensions };
-    let law = (suite.revise)(Law::new(&powder, ROUGH, super::SUBSTEP_S).extended(&rolling, &powder, Site::Base));
+    let law = (suite.revise)(Law::new(&powder, ROUGH, super::SUBSTEP_S).extended(
+        &rolling,
+        &powder,
+        Site::Base,
+    ));
     let side = -6..6i8;
     let at = |i: i8| 1.05 * (f32::from(i) + 0.5);
     // Each layer is shifted relative to the one below: stacked columns would stand.
@@ -43,13 +47,20 @@ fn smooth_plate(suite: &Suite) -> Vec<Check> {
         let shift = 0.3 * f32::from(k % 3);
         let side = side.clone();
         side.clone().flat_map(move |i| {
-            side.clone().map(move |j| vector(at(i) + shift, at(j) + 0.7 * shift, 0.5 + 1.05 * f32::from(k)))
+            side.clone()
+                .map(move |j| vector(at(i) + shift, at(j) + 0.7 * shift, 0.5 + 1.05 * f32::from(k)))
         })
     });
     let mut grains = at_rest(&law, block);
     advance(&mut grains, &law, down(&law), &Shape::FLAT, law.substeps(1.0));
     let source = "rolling spheres without rolling resistance do not pile on a smooth plate (LAMMPS hooke: 1.5 deg)";
-    vec![Check::near("rotation_smooth_plate", slope_of_cone(grains.centres()), [0.0, 5.0], "deg", source)]
+    vec![Check::near(
+        "rotation_smooth_plate",
+        slope_of_cone(grains.centres()),
+        [0.0, 5.0],
+        "deg",
+        source,
+    )]
 }
 
 /// Slope of the cone with the same mean radius and mean height of grains, degrees:
@@ -65,15 +76,18 @@ fn rough_plate(suite: &Suite) -> Vec<Check> {
     let cone = |extensions: Extensions, rough_base: bool| {
         let suite = Suite { extensions, ..suite.clone() };
         let settings = Settings { rough_base, ..Settings::default() };
-        let heap = |seed| suite.heap(&powder, &settings, seed).map_or(f64::NAN, |heap| heap.cone_deg);
+        let heap =
+            |seed| suite.heap(&powder, &settings, seed).map_or(f64::NAN, |heap| heap.cone_deg);
         Mean::of(&(1..=HEAPS).map(heap).collect::<Vec<_>>()).mean
     };
     let rolls = Extensions { rotation: 1.0, ..suite.extensions };
     let resists = Extensions { rolling_friction: ROLLING, ..rolls };
     let [loose, held, held_smooth] = [cone(rolls, true), cone(resists, true), cone(resists, false)];
-    let source = "rolling spheres on a bed of their own stand at 15 to 25 deg: the requirement's range";
+    let source =
+        "rolling spheres on a bed of their own stand at 15 to 25 deg: the requirement's range";
     let returns = "rolling resistance gives a heap back; the range is our own, set after this was first measured";
-    let back = "rolling resistance gives a heap back: to the range of angles of repose, 25 to 50 deg";
+    let back =
+        "rolling resistance gives a heap back: to the range of angles of repose, 25 to 50 deg";
     vec![
         Check::within("rotation_rough_plate", loose, [15.0, 25.0], "deg", source),
         Check::within("rolling_resistance_rise", held - loose, [5.0, 25.0], "deg", returns),

@@ -15,7 +15,11 @@ pub(super) const EXPERIMENTS: &[Experiment] = &[
     Experiment { name: "free_fall", checks: &["free_fall"], run: free_fall },
     Experiment { name: "inelastic_drop", checks: &["inelastic_drop"], run: inelastic_drop },
     Experiment { name: "pair_momentum", checks: &["pair_momentum"], run: pair_momentum },
-    Experiment { name: "incline", checks: &["incline_threshold", "incline_acceleration"], run: incline },
+    Experiment {
+        name: "incline",
+        checks: &["incline_threshold", "incline_acceleration"],
+        run: incline,
+    },
     Experiment { name: "tetrahedron", checks: &["tetrahedron_escape"], run: tetrahedron },
     Experiment { name: "pendant_pair", checks: &["pendant_pair"], run: pendant_pair },
     Experiment { name: "mass_invariance", checks: &["mass_invariance"], run: mass_invariance },
@@ -78,7 +82,13 @@ fn pair_momentum(suite: &Suite) -> Vec<Check> {
         worst = worst.max(change.sqrt() / size);
     }
     let measured = if collisions == 64 { worst } else { f64::NAN };
-    vec![Check::within("pair_momentum", measured, [0.0, 1e-6], "", "Newton's third law, to single precision")]
+    vec![Check::within(
+        "pair_momentum",
+        measured,
+        [0.0, 1e-6],
+        "",
+        "Newton's third law, to single precision",
+    )]
 }
 
 fn momentum(grains: &Grains) -> [f64; 3] {
@@ -120,7 +130,13 @@ fn incline(suite: &Suite) -> Vec<Check> {
     let source = "Coulomb friction, coefficient 0.4";
     vec![
         Check::near("incline_threshold", angle, [SMOOTH.atan().to_degrees(), 0.2], "deg", source),
-        Check::near("incline_acceleration", acceleration, [expected, 0.02 * expected], "m/s^2", source),
+        Check::near(
+            "incline_acceleration",
+            acceleration,
+            [expected, 0.02 * expected],
+            "m/s^2",
+            source,
+        ),
     ]
 }
 
@@ -147,7 +163,13 @@ fn tetrahedron(suite: &Suite) -> Vec<Check> {
         four.centres().iter().all(|x| x[2] < 1.0)
     };
     let source = "geometry: atan((1 / sqrt 12) / sqrt(2 / 3))";
-    vec![Check::near("tetrahedron_escape", threshold([10.0, 30.0], 10, leaves), [19.471, 0.2], "deg", source)]
+    vec![Check::near(
+        "tetrahedron_escape",
+        threshold([10.0, 30.0], 10, leaves),
+        [19.471, 0.2],
+        "deg",
+        source,
+    )]
 }
 
 /// Attraction over weight at which a grain no longer falls off another that hangs from a plate.
@@ -183,7 +205,11 @@ fn pendant_pair(suite: &Suite) -> Vec<Check> {
 /// Change of a heap's angles with heavier grains.
 fn mass_invariance(suite: &Suite) -> Vec<Check> {
     let angles = |mass: f64| {
-        let heap = suite.heap(&suite.powder(&[("particle_mass_ug", mass)]), &Settings::with_particles(300), 5);
+        let heap = suite.heap(
+            &suite.powder(&[("particle_mass_ug", mass)]),
+            &Settings::with_particles(300),
+            5,
+        );
         heap.map_or([f64::NAN; 2], |heap| [heap.tip_deg, heap.cone_deg])
     };
     let ([tip, cone], [heavy_tip, heavy_cone]) = (angles(13.0), angles(16.5));

@@ -75,13 +75,17 @@ fn a_check_passes_within_its_tolerance_and_an_experiment_without_a_number_fails(
 
 #[test]
 fn every_experiment_returns_the_checks_that_it_names_and_no_name_is_used_twice() {
-    let mut names: Vec<&str> = experiments().iter().flat_map(|e| e.checks.iter().copied()).collect();
+    let mut names: Vec<&str> =
+        experiments().iter().flat_map(|e| e.checks.iter().copied()).collect();
     let count = names.len();
     names.sort_unstable();
     names.dedup();
     assert_eq!(names.len(), count);
-    for experiment in experiments().iter().filter(|e| ["free_fall", "incline", "pendant_pair"].contains(&e.name)) {
-        let returned: Vec<&str> = experiment.run(&Suite::default()).iter().map(|check| check.name).collect();
+    for experiment in
+        experiments().iter().filter(|e| ["free_fall", "incline", "pendant_pair"].contains(&e.name))
+    {
+        let returned: Vec<&str> =
+            experiment.run(&Suite::default()).iter().map(|check| check.name).collect();
         assert_eq!(returned, experiment.checks);
     }
 }
@@ -101,13 +105,15 @@ fn lattice() -> impl Iterator<Item = Vector> {
     let place = |i: i8| f32::from(i) + 0.5;
     side.clone().flat_map(move |i| {
         let side = side.clone();
-        side.clone().flat_map(move |j| side.clone().map(move |k| vector(place(i), place(j), place(k))))
+        side.clone()
+            .flat_map(move |j| side.clone().map(move |k| vector(place(i), place(j), place(k))))
     })
 }
 
 #[test]
 fn a_cubic_lattice_is_packed_by_pi_over_six() {
-    let fraction = packing_fraction(&at_rest(&Suite::default().law(SMOOTH), lattice()), 15.0, [-10.0, 10.0]);
+    let fraction =
+        packing_fraction(&at_rest(&Suite::default().law(SMOOTH), lattice()), 15.0, [-10.0, 10.0]);
     assert!((fraction - std::f64::consts::PI / 6.0).abs() < 0.01, "{fraction}");
 }
 

@@ -17,8 +17,11 @@ use super::heap::angle;
 use super::{Check, Experiment, ROUGH, Suite};
 use crate::grains::Grains;
 
-pub(super) const EXPERIMENTS: &[Experiment] =
-    &[Experiment { name: "tilted_bed", checks: &["tilt_onset", "tilt_hysteresis"], run: tilted_bed }];
+pub(super) const EXPERIMENTS: &[Experiment] = &[Experiment {
+    name: "tilted_bed",
+    checks: &["tilt_onset", "tilt_hysteresis"],
+    run: tilted_bed,
+}];
 
 /// Radius of the container and depth of the bed, grain diameters.
 const RADIUS: f64 = 15.0;
@@ -29,7 +32,8 @@ const WATCHED: f64 = 10.0;
 fn tilted_bed(suite: &Suite) -> Vec<Check> {
     let law = suite.law(ROUGH);
     let beds: Vec<[f64; 2]> = (1..=3).map(|seed| avalanche(&law, seed)).collect();
-    let [starts, rests] = [0, 1].map(|k| Mean::of(&beds.iter().map(|bed| bed[k]).collect::<Vec<_>>()).mean);
+    let [starts, rests] =
+        [0, 1].map(|k| Mean::of(&beds.iter().map(|bed| bed[k]).collect::<Vec<_>>()).mean);
     let repose = angle(suite, &suite.powder, &Settings::with_particles(4000), 4).mean;
     let source = "Jaeger et al. 1989: the maximum angle of stability is above the angle of repose by up to 5 deg";
     vec![

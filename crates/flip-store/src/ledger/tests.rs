@@ -26,7 +26,8 @@ impl Ledger {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
-        let (job, created) = tx.insert_job("job", JobKind::Calibration, "{}", &[7; 32], at(0)).await.unwrap();
+        let (job, created) =
+            tx.insert_job("job", JobKind::Calibration, "{}", &[7; 32], at(0)).await.unwrap();
         tx.commit().await.unwrap();
         assert!(created);
         Self { store, job: job.id, _folder: folder }
@@ -82,15 +83,22 @@ async fn nothing_that_a_zombie_writes_is_kept() {
     assert!(fenced(ledger.write(async |tx| tx.renew(&zombie, at(999)).await).await));
     assert!(fenced(ledger.write(async |tx| tx.report(&zombie, &progress).await).await));
     assert!(fenced(ledger.write(async |tx| tx.advance(&zombie).await).await));
-    assert!(fenced(ledger.write(async |tx| tx.set_checkpoint(&zombie, &"a".repeat(64)).await).await));
+    assert!(fenced(
+        ledger.write(async |tx| tx.set_checkpoint(&zombie, &"a".repeat(64)).await).await
+    ));
     assert!(fenced(ledger.write(async |tx| tx.succeed(&zombie, "{}", at(40)).await).await));
-    assert!(fenced(ledger.write(async |tx| tx.end(&zombie, JobState::Failed, Some("no"), at(40)).await).await));
+    assert!(fenced(
+        ledger.write(async |tx| tx.end(&zombie, JobState::Failed, Some("no"), at(40)).await).await
+    ));
     assert!(fenced(ledger.write(async |tx| tx.retry(&zombie, "no", at(40)).await).await));
     assert!(fenced(ledger.write(async |tx| tx.release(&zombie).await).await));
     let job = ledger.job().await;
     assert_eq!((job.state, job.progress.fraction, job.error), (JobState::Running, 0.0, None));
     ledger.write(async |tx| tx.succeed(&heir, "{}", at(50)).await).await.unwrap();
-    assert!(fenced(ledger.write(async |tx| tx.succeed(&heir, "{}", at(51)).await).await), "and nobody succeeds twice");
+    assert!(
+        fenced(ledger.write(async |tx| tx.succeed(&heir, "{}", at(51)).await).await),
+        "and nobody succeeds twice"
+    );
     assert_eq!(ledger.claim("late", 60).await, Claim::Ended);
 }
 
@@ -136,7 +144,10 @@ async fn a_job_that_ends_its_process_every_time_is_given_up_and_one_that_saves_i
         }
         let last = ledger.claim("worker", now).await;
         assert_eq!(last == Claim::Ended, gives_up);
-        assert_eq!(ledger.job().await.state, if gives_up { JobState::Failed } else { JobState::Running });
+        assert_eq!(
+            ledger.job().await.state,
+            if gives_up { JobState::Failed } else { JobState::Running }
+        );
     }
 }
 
@@ -157,7 +168,10 @@ async fn a_cancelled_job_is_not_claimed_again_after_its_worker_died() {
     let ledger = Ledger::new().await;
     let lease = ledger.granted("worker", 0).await.lease;
     ledger.write(async |tx| tx.request_cancel("job", at(1)).await).await.unwrap().unwrap();
-    assert!(ledger.write(async |tx| tx.renew(&lease, at(40)).await).await.unwrap(), "the worker hears of it");
+    assert!(
+        ledger.write(async |tx| tx.renew(&lease, at(40)).await).await.unwrap(),
+        "the worker hears of it"
+    );
     assert_eq!(ledger.claim("next", 99).await, Claim::Ended);
     assert_eq!(ledger.job().await.state, JobState::Cancelled);
 }
@@ -184,7 +198,10 @@ async fn a_job_that_nobody_computes_after_a_restart_is_not_said_to_run() {
     assert_eq!((job.state, job.progress.fraction), (JobState::Queued, 0.9));
     assert!(job.progress.message.contains("the process ended"), "{}", job.progress.message);
     let told = ledger.store.events_after(Some("job:job"), before, 10).await.unwrap();
-    assert_eq!(told.iter().map(|event| event.data["state"].as_str().unwrap()).collect::<Vec<_>>(), ["queued"]);
+    assert_eq!(
+        told.iter().map(|event| event.data["state"].as_str().unwrap()).collect::<Vec<_>>(),
+        ["queued"]
+    );
     // An ended process still counts against a job that ends it every time.
     for _ in 1..DEATHS_MAX {
         ledger.granted("next", 1).await;

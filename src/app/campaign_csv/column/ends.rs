@@ -36,7 +36,8 @@ pub(super) fn check(
     row: impl Fn(usize) -> usize,
 ) -> Refused<()> {
     let (ends, unit) = of_column(column);
-    let filled: Vec<(usize, f64)> = values.iter().enumerate().filter_map(|(k, value)| Some((k, (*value)?))).collect();
+    let filled: Vec<(usize, f64)> =
+        values.iter().enumerate().filter_map(|(k, value)| Some((k, (*value)?))).collect();
     let is_end = |it: &(usize, f64)| ends.contains(&it.1) && !has_unit(it.0);
     let (at_end, others): (Vec<_>, Vec<_>) = filled.iter().copied().partition(is_end);
     let is_far = |end: f64| others.iter().all(|(_, other)| (other - end).abs() >= FAR);

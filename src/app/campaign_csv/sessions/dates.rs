@@ -19,8 +19,10 @@ impl Dates<'_> {
         if self.0.is_empty() {
             return Ok(None);
         }
-        let possible: Vec<(DateOrder, Vec<Date>)> =
-            DateOrder::ALL.into_iter().filter_map(|order| Some((order, self.read(order)?))).collect();
+        let possible: Vec<(DateOrder, Vec<Date>)> = DateOrder::ALL
+            .into_iter()
+            .filter_map(|order| Some((order, self.read(order)?)))
+            .collect();
         if possible.is_empty() {
             return Err(self.contradictions());
         }
@@ -42,10 +44,14 @@ impl Dates<'_> {
 
     /// Dates whose first component is not that of the first unambiguous date.
     fn contradictions(&self) -> Vec<FieldError> {
-        let shown = || self.0.iter().filter_map(|(written, row, text)| Some((written.order()?, *row, *text)));
+        let shown = || {
+            self.0.iter().filter_map(|(written, row, text)| Some((written.order()?, *row, *text)))
+        };
         let Some((first, from, _)) = shown().next() else {
             let (_, row, text) = self.0[0];
-            let advice = format!("`{text}` and the others are days in no one order: write days as 2026-02-03");
+            let advice = format!(
+                "`{text}` and the others are days in no one order: write days as 2026-02-03"
+            );
             return vec![at(row, "session", advice)];
         };
         let other = |(order, row, text): (DateOrder, usize, &str)| {
@@ -58,7 +64,8 @@ impl Dates<'_> {
         };
         let others: Vec<FieldError> = shown().filter_map(other).collect();
         // No two of them need be at odds: each of the others may rule out another order.
-        let is_no_day = |(written, ..): &&(&Written, usize, &str)| written.day(Some(first)).is_none();
+        let is_no_day =
+            |(written, ..): &&(&Written, usize, &str)| written.day(Some(first)).is_none();
         let all = || {
             self.0.iter().filter(is_no_day).map(|(_, row, text)| {
                 at(
@@ -95,7 +102,9 @@ impl Dates<'_> {
 
 /// Days from the first to the last.
 fn lasts(days: &[Date]) -> i32 {
-    let of = |pick: fn(i32, i32) -> i32| days.iter().map(|day| day.to_julian_day()).reduce(pick).unwrap_or(0);
+    let of = |pick: fn(i32, i32) -> i32| {
+        days.iter().map(|day| day.to_julian_day()).reduce(pick).unwrap_or(0)
+    };
     of(i32::max) - of(i32::min)
 }
 
@@ -106,7 +115,8 @@ mod tests {
 
     fn order(texts: &[&str]) -> Result<Option<DateOrder>, Vec<String>> {
         let written: Vec<Written> = texts.iter().map(|text| day(text).unwrap()).collect();
-        let cells = written.iter().zip(2..).zip(texts).map(|((written, row), text)| (written, row, *text));
+        let cells =
+            written.iter().zip(2..).zip(texts).map(|((written, row), text)| (written, row, *text));
         Dates(cells.collect()).order().map_err(|all| all.into_iter().map(|it| it.field).collect())
     }
 
@@ -120,7 +130,10 @@ mod tests {
         assert_eq!(order(&["03/02/26", "28/02/26"]), Ok(Some(DayFirst)));
         assert_eq!(order(&["02-03-26", "02-28-26"]), Ok(Some(MonthFirst)));
         // A few consecutive days are ambiguous.
-        assert_eq!(order(&["26/02/19", "26/02/20", "26/02/21"]), Err(vec!["row[2].session".to_owned()]));
+        assert_eq!(
+            order(&["26/02/19", "26/02/20", "26/02/21"]),
+            Err(vec!["row[2].session".to_owned()])
+        );
         assert_eq!(order(&["26.02.21"]), Err(vec!["row[2].session".to_owned()]));
         // A single unambiguous date decides.
         assert_eq!(order(&["26/02/21", "32/02/21"]), Ok(Some(YearFirst)));

@@ -10,7 +10,8 @@ use std::cmp::Ordering;
 /// Whether these sessions, all of them numeric, are names.
 pub(super) fn are_labels(texts: &[&str]) -> bool {
     let parts: Option<Vec<[u64; 2]>> = texts.iter().map(|text| parts(text)).collect();
-    let numbers: Vec<f64> = texts.iter().filter_map(|text| text.replace(',', ".").parse().ok()).collect();
+    let numbers: Vec<f64> =
+        texts.iter().filter_map(|text| text.replace(',', ".").parse().ok()).collect();
     let Some(parts) = parts.filter(|parts| parts.len() == numbers.len()) else { return false };
     let mut order: Vec<usize> = (0..texts.len()).collect();
     order.sort_by(|&a, &b| parts[a].cmp(&parts[b]));

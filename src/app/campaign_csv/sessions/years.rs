@@ -15,10 +15,13 @@ pub(super) fn check(days: &[Date], rows: &[usize], texts: &[&str]) -> Refused<()
     let mut sorted = numbers.clone();
     sorted.sort_unstable();
     let held = |first: i32| {
-        sorted.partition_point(|day| day - first <= CAMPAIGN_MAX_D) - sorted.partition_point(|day| *day < first)
+        sorted.partition_point(|day| day - first <= CAMPAIGN_MAX_D)
+            - sorted.partition_point(|day| *day < first)
     };
     // On a tie, the earliest.
-    let Some((most, first)) = sorted.iter().rev().map(|&first| (held(first), first)).max_by_key(|it| it.0) else {
+    let Some((most, first)) =
+        sorted.iter().rev().map(|&first| (held(first), first)).max_by_key(|it| it.0)
+    else {
         return Ok(());
     };
     if 2 * most < days.len() {

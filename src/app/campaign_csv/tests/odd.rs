@@ -10,7 +10,9 @@ fn table(header: &str, row: impl Fn(usize) -> String) -> String {
 
 /// Fourteen runs of salt, each with a cell in one extra column.
 fn beside(column: &str, cell: impl Fn(usize) -> String) -> String {
-    table(&format!("powder,repose_deg,{column}"), |k| format!("salt,3{}.{},{}", k % 7, k % 10, cell(k)))
+    table(&format!("powder,repose_deg,{column}"), |k| {
+        format!("salt,3{}.{},{}", k % 7, k % 10, cell(k))
+    })
 }
 
 fn note(text: &str, column: &str) -> String {
@@ -55,13 +57,16 @@ fn session_1_10_is_not_session_1_1() {
 
 #[test]
 fn a_wrong_digit_among_counted_days_does_not_make_numbers_of_them() {
-    let text = beside("session", |k| if k == 4 { "4605".to_owned() } else { format!("{}.5", 46_050 + k) });
+    let text =
+        beside("session", |k| if k == 4 { "4605".to_owned() } else { format!("{}.5", 46_050 + k) });
     assert_eq!(refused(&text), ["row[6].session"]);
 }
 
 #[test]
 fn two_sessions_on_one_day_are_not_made_one_without_a_word() {
-    let text = beside("session", |k| format!("2026-02-{:02} {}:00", 1 + k / 4, if k % 2 == 0 { 9 } else { 15 }));
+    let text = beside("session", |k| {
+        format!("2026-02-{:02} {}:00", 1 + k / 4, if k % 2 == 0 { 9 } else { 15 })
+    });
     let note = note(&text, "session");
     assert!(
         note.starts_with("4 days")
@@ -74,8 +79,14 @@ fn two_sessions_on_one_day_are_not_made_one_without_a_word() {
 
 #[test]
 fn a_humidity_in_fractions_and_per_cents_is_refused_whatever_its_column_is_called() {
-    for column in ["humidity", "RH", "Relative Humidity [%]", "relative_humidity_pct", "Luftfeuchte"] {
-        assert_eq!(refused(&with_column(column, &["45", "0.41", "47", "0.5"])).len(), 2, "{column}");
+    for column in
+        ["humidity", "RH", "Relative Humidity [%]", "relative_humidity_pct", "Luftfeuchte"]
+    {
+        assert_eq!(
+            refused(&with_column(column, &["45", "0.41", "47", "0.5"])).len(),
+            2,
+            "{column}"
+        );
     }
     let mixed = campaign_of(&with_column("humidity", &["45 %", "0.41", "47 %"]));
     assert_eq!(
@@ -97,8 +108,8 @@ fn days_under_another_name_are_the_sessions_and_no_condition() {
         assert_eq!(refused(&beside(header, days)), [header], "{header}");
     }
     // Next to a session they can be anything: the day on which a batch was made.
-    let both =
-        beside("session", |k| format!("{},2026-01-{:02}", days(k), 1 + k % 3)).replace("session\n", "session,date\n");
+    let both = beside("session", |k| format!("{},2026-01-{:02}", days(k), 1 + k % 3))
+        .replace("session\n", "session,date\n");
     assert!(column(&campaign_of(&both), "date").is_some());
 }
 
@@ -111,8 +122,12 @@ fn humidity_and_angle_are_known_by_what_laboratories_call_them_and_a_slip_is_ask
     }
     assert_eq!(refused(&beside("relative_humidity_pc", humidity)), ["relative_humidity_pc"]);
     assert_eq!(refused(&beside("temperature", humidity)), ["temperature"], "of which unit?");
-    assert!(column(&campaign_of(&beside("bench", |k| format!("{}", k % 3))), "bench").is_some(), "no slip for batch");
-    let renamed = beside("relative_humidity_pct", humidity).replacen("repose_deg", "Angle of repose", 1);
+    assert!(
+        column(&campaign_of(&beside("bench", |k| format!("{}", k % 3))), "bench").is_some(),
+        "no slip for batch"
+    );
+    let renamed =
+        beside("relative_humidity_pct", humidity).replacen("repose_deg", "Angle of repose", 1);
     assert_eq!(campaign_of(&renamed), plain);
 }
 
@@ -122,7 +137,10 @@ fn a_mean_below_a_table_is_no_powder_and_no_run() {
     let plain = read_of(&runs);
     let with = read_of(&format!("{runs}Mean,33.6,\nSD,1.9,\nGrand Total,471.1,\n"));
     assert_eq!(with.campaign, plain.campaign);
-    assert_eq!((with.read.left_out[0].rows.as_slice(), with.read.rows), ([16, 17, 18].as_slice(), 17));
+    assert_eq!(
+        (with.read.left_out[0].rows.as_slice(), with.read.rows),
+        ([16, 17, 18].as_slice(), 17)
+    );
     // In a column of its own.
     let text = beside("sample", |k| format!("A{k}"));
     let with = read_of(&format!("{text}salt,33.6,Mean\nsalt,39.9,Max\n"));
@@ -131,7 +149,10 @@ fn a_mean_below_a_table_is_no_powder_and_no_run() {
     // Levels with such names are not summaries.
     let skill = campaign_of(&beside("skill", |k| ["low", "average", "high"][k % 3].to_owned()));
     assert_eq!(skill.runs.len(), 14);
-    assert_eq!(refused(&beside("statistic", |k| ["mean", "min", "max"][k % 3].to_owned())), ["row[2]"]);
+    assert_eq!(
+        refused(&beside("statistic", |k| ["mean", "min", "max"][k % 3].to_owned())),
+        ["row[2]"]
+    );
     let asked = read(&format!("{runs}Mean,33.6,\n"), &["powder"], None).unwrap_err().to_string();
     assert!(asked.contains("row[16].powder"), "a question is not left out: {asked}");
 }
@@ -140,23 +161,49 @@ fn a_mean_below_a_table_is_no_powder_and_no_run() {
 fn one_name_in_several_ways_is_one_name_and_told() {
     let operators = |k: usize| ["Ada", "ada", "ADA ", "Ben"][k % 4].to_owned();
     let read = campaign_of(&beside("operator", operators));
-    assert!(matches!(column(&read, "operator"), Some(Values::Levels { names, .. }) if *names == ["Ada", "Ben"]));
-    assert_eq!(note(&beside("operator", operators), "operator"), "taken as one name: Ada = ada = ADA");
+    assert!(
+        matches!(column(&read, "operator"), Some(Values::Levels { names, .. }) if *names == ["Ada", "Ben"])
+    );
+    assert_eq!(
+        note(&beside("operator", operators), "operator"),
+        "taken as one name: Ada = ada = ADA"
+    );
     let lid = beside("lid", |k| ["yes", "1", "no", "0"][k % 4].to_owned());
-    assert!(matches!(column(&campaign_of(&lid), "lid"), Some(Values::Levels { names, .. }) if *names == ["no", "yes"]));
-    assert_eq!(campaign_of(&with_column("session", &["Monday", "monday ", "Tuesday"])).session_of(), [0, 0, 1]);
+    assert!(
+        matches!(column(&campaign_of(&lid), "lid"), Some(Values::Levels { names, .. }) if *names == ["no", "yes"])
+    );
+    assert_eq!(
+        campaign_of(&with_column("session", &["Monday", "monday ", "Tuesday"])).session_of(),
+        [0, 0, 1]
+    );
 }
 
 #[test]
 fn what_stands_for_nothing_is_no_number() {
     assert_eq!(
-        refused(&beside("temp", |k| if k == 5 { "-999".to_owned() } else { format!("2{}", k % 5) })),
+        refused(&beside("temp", |k| if k == 5 {
+            "-999".to_owned()
+        } else {
+            format!("2{}", k % 5)
+        })),
         ["row[7].temp"]
     );
-    assert_eq!(refused(&beside("rest_min", |k| if k % 7 == 5 { "9999".to_owned() } else { k.to_string() })).len(), 2);
-    let meant = campaign_of(&beside("temp", |k| if k == 5 { "-999.0".to_owned() } else { k.to_string() }));
+    assert_eq!(
+        refused(&beside("rest_min", |k| if k % 7 == 5 {
+            "9999".to_owned()
+        } else {
+            k.to_string()
+        }))
+        .len(),
+        2
+    );
+    let meant =
+        campaign_of(&beside("temp", |k| if k == 5 { "-999.0".to_owned() } else { k.to_string() }));
     assert!(column(&meant, "temp").is_some());
-    assert!(column(&campaign_of(&with_column("gap", &["-99", "-50", "20"])), "gap").is_some(), "others are below zero");
+    assert!(
+        column(&campaign_of(&with_column("gap", &["-99", "-50", "20"])), "gap").is_some(),
+        "others are below zero"
+    );
     let missing = told("x", &["#DIV/0!", "3", "4", "#REF!"]);
     assert_eq!((missing.taken_as, missing.missing), (TakenAs::Numbers, 2));
 }
@@ -164,8 +211,11 @@ fn what_stands_for_nothing_is_no_number() {
 #[test]
 fn a_thousand_with_a_point_beside_hundreds_is_no_one_point_something() {
     let pressure = |k: usize| ["980", "1.013", "995", "1.005"][k % 4].to_owned();
-    let rows =
-        |text: &str| table("powder;repose_deg;pressure_hpa", |k| format!("salt;{}{text};{}", 30 + k % 7, pressure(k)));
+    let rows = |text: &str| {
+        table("powder;repose_deg;pressure_hpa", |k| {
+            format!("salt;{}{text};{}", 30 + k % 7, pressure(k))
+        })
+    };
     assert_eq!(refused(&rows("")).len(), 7, "may be 1.013 or 1013");
     // Another column shows whether points or commas separate decimals.
     let first = |text: &str| match column(&campaign_of(&rows(text)), "pressure_hpa") {
@@ -173,7 +223,10 @@ fn a_thousand_with_a_point_beside_hundreds_is_no_one_point_something() {
         other => panic!("{other:?}"),
     };
     assert_eq!(
-        (first(".5"), column(&campaign_of(&with_column("gap", &["2", "1.125", "3"])), "gap").is_some()),
+        (
+            first(".5"),
+            column(&campaign_of(&with_column("gap", &["2", "1.125", "3"])), "gap").is_some()
+        ),
         (Some(1.013), true)
     );
 }
@@ -201,7 +254,9 @@ fn tables_that_are_more_or_less_than_one_are_refused_where_they_begin_to_be() {
         (runs.replace("30.0", "30.0*"), &["row[2].repose_deg"]),
         (runs.replace("30.0", "30°12'"), &["row[2].repose_deg"]),
         (
-            table("powder,repose_deg,,powder,repose_deg", |k| format!("salt,3{}.1,,sugar,31.2", k % 7)),
+            table("powder,repose_deg,,powder,repose_deg", |k| {
+                format!("salt,3{}.1,,sugar,31.2", k % 7)
+            }),
             &["powder", "repose_deg"],
         ),
     ] {
@@ -227,7 +282,10 @@ fn a_humidity_of_0_or_100_among_laboratory_air_is_a_loggers_missing_value() {
         assert_eq!(refused, [format!("row[5].{column}"), format!("row[15].{column}")], "{end}");
     }
     let fractions = |k: usize| if k == 4 { "0".to_owned() } else { format!("0.{}", 40 + k) };
-    assert_eq!(refused(&beside("relative_humidity_pct", fractions)), ["row[6].relative_humidity_pct"]);
+    assert_eq!(
+        refused(&beside("relative_humidity_pct", fractions)),
+        ["row[6].relative_humidity_pct"]
+    );
     // With its unit it is taken at face value, and near other values it was measured.
     for (column, end, usual) in [
         ("relative_humidity_pct", "0 %", 38),
@@ -236,27 +294,42 @@ fn a_humidity_of_0_or_100_among_laboratory_air_is_a_loggers_missing_value() {
         ("temperature_c", "0", 2),
         ("rest_min", "0", 38),
     ] {
-        assert_eq!(campaign_of(&beside(column, tenth(end, usual))).runs.len(), 14, "{column} {end}");
+        assert_eq!(
+            campaign_of(&beside(column, tenth(end, usual))).runs.len(),
+            14,
+            "{column} {end}"
+        );
     }
     // In half of the cells: somebody dried the air.
-    assert_eq!(campaign_of(&beside("relative_humidity_pct", |k| (45 * (k % 2)).to_string())).runs.len(), 14);
+    assert_eq!(
+        campaign_of(&beside("relative_humidity_pct", |k| (45 * (k % 2)).to_string())).runs.len(),
+        14
+    );
 }
 
 #[test]
 fn a_year_typo_among_days_is_refused_by_row() {
     for typo in ["2062-02-07", "1926-02-07", "2206-02-07"] {
-        let text = beside("session", |k| if k == 5 { typo.to_owned() } else { format!("2026-02-{:02}", 1 + k) });
+        let text = beside("session", |k| {
+            if k == 5 { typo.to_owned() } else { format!("2026-02-{:02}", 1 + k) }
+        });
         assert_eq!(refused(&text), ["row[7].session"], "{typo}");
     }
     let counted = |k: usize| if k == 5 { "56056".to_owned() } else { (46_056 + k).to_string() };
     assert_eq!(refused(&beside("session", counted)), ["row[7].session"]);
     // A campaign may last nine years.
-    assert_eq!(campaign_of(&beside("session", |k| format!("20{}-02-03", 18 + k % 9))).sessions(), 9);
+    assert_eq!(
+        campaign_of(&beside("session", |k| format!("20{}-02-03", 18 + k % 9))).sessions(),
+        9
+    );
 }
 
 #[test]
 fn a_row_called_overall_or_all_powders_is_no_run() {
     let runs = beside("session", |k| k.to_string());
     let with = read_of(&format!("{runs}Overall,33.6,\nAll powders,33.6,\nAll,33.6,\n"));
-    assert_eq!((with.campaign, with.read.left_out[0].rows.as_slice()), (campaign_of(&runs), [16, 17, 18].as_slice()));
+    assert_eq!(
+        (with.campaign, with.read.left_out[0].rows.as_slice()),
+        (campaign_of(&runs), [16, 17, 18].as_slice())
+    );
 }

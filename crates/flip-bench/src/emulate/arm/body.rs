@@ -172,8 +172,11 @@ impl Body {
             Mode::Idle => {
                 self.leases += 1;
                 let id = format!("lease {}", self.leases);
-                self.lease =
-                    Some(Lease { id: id.clone(), unrenewed: Unrenewed::since(Instant::now()), stopped: false });
+                self.lease = Some(Lease {
+                    id: id.clone(),
+                    unrenewed: Unrenewed::since(Instant::now()),
+                    stopped: false,
+                });
                 (self.mode, self.accepted) = (Mode::Ready, None);
                 Ok(id)
             }
@@ -212,13 +215,17 @@ impl Body {
         if let Some(last) = self.accepted.as_ref().filter(|last| sequence <= last.sequence) {
             return match sequence == last.sequence && asked == last.asked {
                 true => Ok(Some(last.answer.clone())),
-                false => Err(Status::already_exists("this sequence number was used for another motion")),
+                false => {
+                    Err(Status::already_exists("this sequence number was used for another motion"))
+                }
             };
         }
         match self.mode {
             Mode::Ready => {}
             Mode::Stopped if asked == Asked::Retract => {}
-            Mode::Stopped => return Err(refused("the arm was stopped: retract it, and acquire it again")),
+            Mode::Stopped => {
+                return Err(refused("the arm was stopped: retract it, and acquire it again"));
+            }
             _ => return Err(refused("another motion is under way")),
         }
         self.in_place(asked).map(|()| None)
@@ -228,7 +235,11 @@ impl Body {
         let retracted = self.station == Station::Retracted;
         match asked {
             Asked::Retract => Ok(()),
-            Asked::Approach if self.station == Station::OverVial || (retracted && self.is_level()) => Ok(()),
+            Asked::Approach
+                if self.station == Station::OverVial || (retracted && self.is_level()) =>
+            {
+                Ok(())
+            }
             Asked::Pitch(_) | Asked::Shake(_) if self.station != Station::Between => Ok(()),
             Asked::Scoop | Asked::Discard | Asked::Invert if retracted => Ok(()),
             _ => Err(refused("the spoon is not where this motion begins: retract it first")),
@@ -236,7 +247,10 @@ impl Body {
     }
 
     fn latched(&self) -> Status {
-        refused(&format!("the arm is latched, a person must look at it: {}", self.latch.unwrap_or("unknown cause")))
+        refused(&format!(
+            "the arm is latched, a person must look at it: {}",
+            self.latch.unwrap_or("unknown cause")
+        ))
     }
 }
 
@@ -254,9 +268,15 @@ fn possible(arm: &proto::Description, asked: Asked) -> Result<(), Status> {
     match asked {
         Asked::Pitch(deg) => within("pitch_deg", deg, limits.pitch_deg_min, limits.pitch_deg_max),
         Asked::Shake(mm) => within("amplitude_mm", mm, 0.0, limits.shake_mm_max),
-        Asked::Scoop if !arm.can_scoop => Err(Status::unimplemented("this arm cannot fill its spoon")),
-        Asked::Discard if !arm.can_discard => Err(Status::unimplemented("this arm cannot empty its spoon")),
-        Asked::Invert if !arm.can_invert => Err(Status::unimplemented("this arm has no platform to invert")),
+        Asked::Scoop if !arm.can_scoop => {
+            Err(Status::unimplemented("this arm cannot fill its spoon"))
+        }
+        Asked::Discard if !arm.can_discard => {
+            Err(Status::unimplemented("this arm cannot empty its spoon"))
+        }
+        Asked::Invert if !arm.can_invert => {
+            Err(Status::unimplemented("this arm has no platform to invert"))
+        }
         _ => Ok(()),
     }
 }

@@ -38,13 +38,24 @@ pub trait Robot: Send + 'static {
     ///
     /// # Errors
     /// What ended it before it was complete.
-    fn carry_out(&mut self, asked: Asked, why: Why, brake: &Brake, desk: &Desk) -> Result<Executed, End>;
+    fn carry_out(
+        &mut self,
+        asked: Asked,
+        why: Why,
+        brake: &Brake,
+        desk: &Desk,
+    ) -> Result<Executed, End>;
 }
 
 /// Jobs of a robot's thread.
 pub(super) enum Job {
     /// A client's motion.
-    Motion { sequence: u64, asked: Asked, brake: Brake, answer: watch::Sender<Option<Result<Executed, Status>>> },
+    Motion {
+        sequence: u64,
+        asked: Asked,
+        brake: Brake,
+        answer: watch::Sender<Option<Result<Executed, Status>>>,
+    },
     /// Level and retract.
     Return { why: Why, brake: Brake, answer: oneshot::Sender<Result<(), Status>> },
     /// The driver ends.
@@ -107,7 +118,9 @@ impl Desk {
     /// Accept a motion, or find the answer of the one it repeats.
     pub(super) fn accept(&self, ticket: &proto::Ticket, asked: Asked) -> Result<Answer, Status> {
         let mut body = self.locked();
-        if let Some(first) = body.judge(&self.description, &ticket.lease_id, ticket.sequence, asked)? {
+        if let Some(first) =
+            body.judge(&self.description, &ticket.lease_id, ticket.sequence, asked)?
+        {
             return Ok(first);
         }
         let (say, answer) = watch::channel(None);
@@ -118,7 +131,12 @@ impl Desk {
     }
 
     /// End the current motion, then level and retract on the driver's own initiative.
-    pub(super) fn begin_return(&self, body: &mut Body, why: Why, end: End) -> oneshot::Receiver<Result<(), Status>> {
+    pub(super) fn begin_return(
+        &self,
+        body: &mut Body,
+        why: Why,
+        end: End,
+    ) -> oneshot::Receiver<Result<(), Status>> {
         let (answer, hear) = oneshot::channel();
         let brake = body.begin_return(end);
         self.send(Job::Return { why, brake, answer });
@@ -173,10 +191,13 @@ impl Desk {
         done: Result<Executed, End>,
     ) -> Result<Executed, Status> {
         let mut body = self.locked();
-        let done = done.map(|executed| Executed { sequence, pitch_deg: body.pitch_deg, ..executed });
+        let done =
+            done.map(|executed| Executed { sequence, pitch_deg: body.pitch_deg, ..executed });
         match done {
             Ok(executed) if matches!(asked, Asked::Shake(_)) => body.last_shake = Some(executed),
-            Err(End::Reflex | End::UserStop | End::LevelFails) => body.latch(done.err().and_then(End::latch_cause)),
+            Err(End::Reflex | End::UserStop | End::LevelFails) => {
+                body.latch(done.err().and_then(End::latch_cause))
+            }
             _ => {}
         }
         body.settle(brake);
@@ -185,7 +206,9 @@ impl Desk {
 
     fn bring_back(&self, why: Why, brake: &Brake, robot: &mut impl Robot) -> Result<(), Status> {
         if self.locked().mode != Mode::Returning {
-            return Err(Status::internal("the arm was latched before it could bring the spoon back"));
+            return Err(Status::internal(
+                "the arm was latched before it could bring the spoon back",
+            ));
         }
         let end = robot.carry_out(Asked::Retract, why, brake, self).err();
         let mut body = self.locked();
@@ -235,7 +258,13 @@ impl Driver {
         let address = listener.local_addr()?;
         let (send, jobs) = channel();
         let body = Mutex::new(Body::new());
-        let desk = Arc::new(Desk { began: Instant::now(), description, dead_man, body, jobs: Mutex::new(send) });
+        let desk = Arc::new(Desk {
+            began: Instant::now(),
+            description,
+            dead_man,
+            body,
+            jobs: Mutex::new(send),
+        });
         let working = desk.clone();
         let thread = std::thread::Builder::new().name("robot".to_owned());
         let hand = Some(thread.spawn(move || working.work(&jobs, &mut robot))?);
@@ -284,14 +313,20 @@ impl Drop for Driver {
     }
 }
 
-fn listen(listener: TcpListener, desk: &Arc<Desk>, wires: &Wires) -> std::io::Result<tokio::runtime::Runtime> {
+fn listen(
+    listener: TcpListener,
+    desk: &Arc<Desk>,
+    wires: &Wires,
+) -> std::io::Result<tokio::runtime::Runtime> {
     let mut builder = tokio::runtime::Builder::new_multi_thread();
     let runtime = builder.worker_threads(1).thread_name("arm driver").enable_all().build()?;
     let entered = runtime.enter();
     let incoming = wires.accept(listener)?;
     drop(entered);
     let service = ArmServer::new(Service(desk.clone()));
-    runtime.spawn(tonic::transport::Server::builder().add_service(service).serve_with_incoming(incoming));
+    runtime.spawn(
+        tonic::transport::Server::builder().add_service(service).serve_with_incoming(incoming),
+    );
     runtime.spawn(watch_over(desk.clone()));
     Ok(runtime)
 }

@@ -64,7 +64,9 @@ impl FromStr for Fault {
     fn from_str(name: &str) -> Result<Self, FieldError> {
         let names = || Self::ALL.map(|fault| fault.name()).join(", ");
         let found = Self::ALL.into_iter().find(|fault| fault.name() == name);
-        found.ok_or_else(|| FieldError::new("fault", format!("must be one of {}, got {name}", names())))
+        found.ok_or_else(|| {
+            FieldError::new("fault", format!("must be one of {}, got {name}", names()))
+        })
     }
 }
 
@@ -77,6 +79,12 @@ mod tests {
         for fault in Fault::ALL {
             assert_eq!(fault.name().parse(), Ok(fault));
         }
-        assert!("drops_spoon".parse::<Fault>().unwrap_err().message.contains("reflex, communication_loss"));
+        assert!(
+            "drops_spoon"
+                .parse::<Fault>()
+                .unwrap_err()
+                .message
+                .contains("reflex, communication_loss")
+        );
     }
 }

@@ -65,7 +65,10 @@ impl Flow {
             return 0.0;
         }
         let open = 1.0 / (1.0 + libm::exp(-(pitch_deg - self.onset_deg) / self.onset_width_deg));
-        self.level_mg * libm::exp(pitch_deg / self.e_fold_deg) * libm::pow(shake_mm / REFERENCE_MM, self.power) * open
+        self.level_mg
+            * libm::exp(pitch_deg / self.e_fold_deg)
+            * libm::pow(shake_mm / REFERENCE_MM, self.power)
+            * open
     }
 }
 
@@ -138,7 +141,9 @@ mod tests {
     #[test]
     fn the_mean_grows_e_fold_with_pitch_and_as_a_power_of_the_amplitude() {
         let flow = Flow { onset_deg: -100.0, ..Flow::default() };
-        assert!((flow.mean_mg(21.8, 8.0) / flow.mean_mg(0.0, 8.0) - std::f64::consts::E).abs() < 1e-9);
+        assert!(
+            (flow.mean_mg(21.8, 8.0) / flow.mean_mg(0.0, 8.0) - std::f64::consts::E).abs() < 1e-9
+        );
         assert!((flow.mean_mg(30.0, 16.0) / flow.mean_mg(30.0, 8.0) - 2f64.powf(1.5)).abs() < 1e-9);
         let late = Flow { onset_deg: 30.0, ..Flow::default() };
         assert!(late.mean_mg(20.0, 8.0) < 0.01 * late.mean_mg(40.0, 8.0));
@@ -164,8 +169,9 @@ mod tests {
         let course = |seed| {
             let mut spoon = FormulaSpoon::new(Flow::default(), seed);
             spoon.refill();
-            let poured: f64 =
-                (0..60).map(|_| spoon.step(Action { incline_change_deg: 0.8, shake_mm: 16.0 }).mass_mg).sum();
+            let poured: f64 = (0..60)
+                .map(|_| spoon.step(Action { incline_change_deg: 0.8, shake_mm: 16.0 }).mass_mg)
+                .sum();
             (poured, spoon.held_mg())
         };
         assert!((course(1).0 - 40.0).abs() < 1e-9 && course(1).1.abs() < 1e-9);

@@ -121,8 +121,15 @@ impl Settings {
     pub fn shakes(&self) -> Option<ShakeCalibration> {
         let shake = |commanded_mm: f64| {
             let planned_mm_s = 1e3 * Move::new(1e-3 * commanded_mm, self.shake).top_m_s();
-            let peak_mm_s = 1e3 * self.speed * Move::new(1e-3 * self.executed_mm(commanded_mm), self.shake).top_m_s();
-            ExecutedShake { commanded_mm, executed_mm: self.executed_mm(commanded_mm), planned_mm_s, peak_mm_s }
+            let peak_mm_s = 1e3
+                * self.speed
+                * Move::new(1e-3 * self.executed_mm(commanded_mm), self.shake).top_m_s();
+            ExecutedShake {
+                commanded_mm,
+                executed_mm: self.executed_mm(commanded_mm),
+                planned_mm_s,
+                peak_mm_s,
+            }
         };
         ShakeCalibration::of([2.0, 4.0, 8.0, self.shake_mm_max].map(shake).to_vec()).ok()
     }
@@ -229,10 +236,17 @@ impl Arm {
     /// # Errors
     /// The system has no port or thread left.
     pub fn start(settings: Settings, pan: Pan, spoon: Box<dyn Spoon>) -> std::io::Result<Self> {
-        let lab = Arc::new(Laboratory { settings, pan, spoon: Mutex::new(spoon), events: Mutex::default() });
-        let dead_man = DeadMan { limit: Duration::from_millis(settings.dead_man_ms.into()), forgives: true };
+        let lab = Arc::new(Laboratory {
+            settings,
+            pan,
+            spoon: Mutex::new(spoon),
+            events: Mutex::default(),
+        });
+        let dead_man =
+            DeadMan { limit: Duration::from_millis(settings.dead_man_ms.into()), forgives: true };
         let address = (Ipv4Addr::LOCALHOST, 0).into();
-        let driver = Driver::start(address, settings.description(), dead_man, Emulated(lab.clone()))?;
+        let driver =
+            Driver::start(address, settings.description(), dead_man, Emulated(lab.clone()))?;
         let url = format!("http://{}", driver.address());
         Ok(Self { lab, driver, url })
     }

@@ -27,7 +27,13 @@ struct Done {
 pub(super) struct Emulated(pub Arc<Laboratory>);
 
 impl Robot for Emulated {
-    fn carry_out(&mut self, asked: Asked, why: Why, brake: &Brake, desk: &Desk) -> Result<Executed, End> {
+    fn carry_out(
+        &mut self,
+        asked: Asked,
+        why: Why,
+        brake: &Brake,
+        desk: &Desk,
+    ) -> Result<Executed, End> {
         let hand = Hand { lab: &self.0, desk, brake };
         hand.lab.clock().wait_s(hand.lab.settings.reply_s);
         let mut done = Done::default();
@@ -36,7 +42,13 @@ impl Robot for Emulated {
         let (at_s, pitch_deg) = (hand.lab.clock().now_s(), desk.pose().0);
         let ended = outcome.err();
         self.0.write(Event { at_s, motion: asked, why, ended, pitch_deg, amplitude_mm, poured_mg });
-        outcome.map(|()| Executed { sequence: 0, amplitude_mm, peak_speed_m_s, duration_s, pitch_deg })
+        outcome.map(|()| Executed {
+            sequence: 0,
+            amplitude_mm,
+            peak_speed_m_s,
+            duration_s,
+            pitch_deg,
+        })
     }
 }
 
@@ -87,7 +99,9 @@ impl Hand<'_> {
     fn travel(&self, duration_s: f64, to: Station, done: &mut Done) -> Result<(), End> {
         self.desk.arrive(Station::Between);
         let (pitch_deg, displacement_mm) = self.desk.pose();
-        self.play(duration_s, 0.0, done, |t| (pitch_deg, displacement_mm * (1.0 - t / duration_s).max(0.0)))?;
+        self.play(duration_s, 0.0, done, |t| {
+            (pitch_deg, displacement_mm * (1.0 - t / duration_s).max(0.0))
+        })?;
         self.desk.rest(pitch_deg, 0.0);
         self.desk.arrive(to);
         Ok(())
@@ -104,7 +118,8 @@ impl Hand<'_> {
         }
         let turn = Move::new((to_deg - from_deg).abs(), self.lab.settings.turn.into());
         let duration_s = turn.duration_s().max(SLICE_S);
-        let mass_mg = self.let_fall(Action { incline_change_deg: to_deg - from_deg, shake_mm: 0.0 });
+        let mass_mg =
+            self.let_fall(Action { incline_change_deg: to_deg - from_deg, shake_mm: 0.0 });
         let ended = self.play(duration_s, mass_mg, done, |t| {
             let pitch_deg = from_deg + (to_deg - from_deg).signum() * turn.position_m(t);
             (pitch_deg, displacement_mm * (1.0 - t / duration_s).max(0.0))
@@ -168,7 +183,9 @@ impl Hand<'_> {
         let slice_s = duration_s / slices;
         let mut fallen_mg = 0.0;
         for k in 0..slices as u32 {
-            if let Err(end) = self.slice(mass_mg / slices, f64::from(k) >= slices / 2.0, &mut fallen_mg, done) {
+            if let Err(end) =
+                self.slice(mass_mg / slices, f64::from(k) >= slices / 2.0, &mut fallen_mg, done)
+            {
                 self.lab.spoon().keep(mass_mg - fallen_mg);
                 return Err(end);
             }
@@ -187,7 +204,13 @@ impl Hand<'_> {
 
     /// Begin one slice unless the motion has ended. Brake and powder are updated under the same
     /// lock: once Stop has been answered nothing more falls.
-    fn slice(&self, mass_mg: f64, half_way: bool, fallen_mg: &mut f64, done: &mut Done) -> Result<(), End> {
+    fn slice(
+        &self,
+        mass_mg: f64,
+        half_way: bool,
+        fallen_mg: &mut f64,
+        done: &mut Done,
+    ) -> Result<(), End> {
         let mut body = self.desk.locked();
         if half_way && body.has(Fault::Reflex) {
             body.faults.retain(|fault| *fault != Fault::Reflex);

@@ -51,7 +51,10 @@ impl Service {
     }
 
     /// Level and retract on behalf of a call, and wait for it.
-    async fn bring_back(&self, returning: oneshot::Receiver<Result<(), Status>>) -> Result<(), Status> {
+    async fn bring_back(
+        &self,
+        returning: oneshot::Receiver<Result<(), Status>>,
+    ) -> Result<(), Status> {
         let outcome = returning.await;
         self.hold_back().await;
         outcome.unwrap_or_else(|_| Err(Status::unavailable("the driver ends")))
@@ -82,7 +85,10 @@ impl arm_server::Arm for Service {
             return Err(Status::invalid_argument("client: must say who asks"));
         }
         let lease_id = self.0.locked().acquire()?;
-        Ok(Response::new(proto::Lease { lease_id, dead_man_ms: self.0.dead_man().limit.as_millis() as u32 }))
+        Ok(Response::new(proto::Lease {
+            lease_id,
+            dead_man_ms: self.0.dead_man().limit.as_millis() as u32,
+        }))
     }
 
     async fn renew(&self, request: Request<proto::RenewRequest>) -> Answered<proto::RenewResponse> {
@@ -91,7 +97,10 @@ impl arm_server::Arm for Service {
         Ok(Response::new(proto::RenewResponse { mode: body.mode.into() }))
     }
 
-    async fn release(&self, request: Request<proto::ReleaseRequest>) -> Answered<proto::ReleaseResponse> {
+    async fn release(
+        &self,
+        request: Request<proto::ReleaseRequest>,
+    ) -> Answered<proto::ReleaseResponse> {
         let returning = {
             let mut body = self.0.locked();
             body.held_by(&request.into_inner().lease_id)?;
@@ -144,7 +153,10 @@ impl arm_server::Arm for Service {
         Ok(Response::new(proto::StopResponse {}))
     }
 
-    async fn recover(&self, request: Request<proto::RecoverRequest>) -> Answered<proto::RecoverResponse> {
+    async fn recover(
+        &self,
+        request: Request<proto::RecoverRequest>,
+    ) -> Answered<proto::RecoverResponse> {
         if request.into_inner().person.is_empty() {
             return Err(Status::invalid_argument("person: must say who has looked"));
         }
@@ -152,7 +164,9 @@ impl arm_server::Arm for Service {
             let mut body = self.0.locked();
             match body.mode {
                 Mode::Idle => return Ok(Response::new(proto::RecoverResponse {})),
-                Mode::Latched if body.has(Fault::UserStop) => return Err(refused("the user stop is still pressed")),
+                Mode::Latched if body.has(Fault::UserStop) => {
+                    return Err(refused("the user stop is still pressed"));
+                }
                 Mode::Latched => self.0.begin_return(&mut body, Why::Recovered, End::Stopped),
                 _ => return Err(refused("the arm is not latched")),
             }
@@ -163,7 +177,10 @@ impl arm_server::Arm for Service {
 
     type StreamStateStream = Pin<Box<dyn Stream<Item = Result<proto::State, Status>> + Send>>;
 
-    async fn stream_state(&self, _: Request<proto::StreamStateRequest>) -> Answered<Self::StreamStateStream> {
+    async fn stream_state(
+        &self,
+        _: Request<proto::StreamStateRequest>,
+    ) -> Answered<Self::StreamStateStream> {
         let (say, states) = mpsc::channel(1);
         let desk = self.0.clone();
         tokio::spawn(async move {

@@ -50,7 +50,15 @@ pub struct GrainsSpoon {
 impl GrainsSpoon {
     /// An empty spoon for this powder; each fill has its own seed.
     pub fn new(set: &ParameterSet, settings: &Settings, seed: u64) -> Self {
-        Self { set: *set, settings: *settings, seed, fills: 0, full: None, pitch_deg: 0.0, kept_mg: 0.0 }
+        Self {
+            set: *set,
+            settings: *settings,
+            seed,
+            fills: 0,
+            full: None,
+            pitch_deg: 0.0,
+            kept_mg: 0.0,
+        }
     }
 }
 
@@ -70,7 +78,8 @@ impl Spoon for GrainsSpoon {
     }
 
     fn refill(&mut self) {
-        self.full = Some(Dispenser::new(&self.set, &self.settings, derive(self.seed, &[self.fills])));
+        self.full =
+            Some(Dispenser::new(&self.set, &self.settings, derive(self.seed, &[self.fills])));
         self.fills += 1;
         self.kept_mg = 0.0;
     }

@@ -26,7 +26,11 @@ fn laboratory(settings: Settings, clock: Clock) -> (Arm, Pan) {
 }
 
 fn client(arm: &Arm) -> Client {
-    let deadlines = Deadlines { call: Duration::from_secs(5), motion: Duration::from_secs(2), ..Deadlines::default() };
+    let deadlines = Deadlines {
+        call: Duration::from_secs(5),
+        motion: Duration::from_secs(2),
+        ..Deadlines::default()
+    };
     Client::connect(arm.url(), Tap::none(), deadlines).unwrap()
 }
 
@@ -63,7 +67,9 @@ fn a_dose_lands_on_the_pan_and_what_is_left_goes_back() {
     assert!(poured_mg > 1.0 && (full_mg - arm.spoon_mg() - poured_mg).abs() < 1e-9, "{poured_mg}");
     for shake in shakes {
         assert!((shake.amplitude_mm - (0.94 * 8.0 - 0.1)).abs() < 1e-9);
-        assert!(shake.peak_speed_m_s > 0.0 && shake.peak_speed_m_s < 0.75 && shake.pitch_deg == 40.0);
+        assert!(
+            shake.peak_speed_m_s > 0.0 && shake.peak_speed_m_s < 0.75 && shake.pitch_deg == 40.0
+        );
     }
     assert_eq!(client.retract().unwrap().pitch_deg, 0.0);
     client.discard().unwrap();
@@ -94,8 +100,14 @@ fn the_simulators_powder_doses_the_same_every_time() {
         let pan = Pan::holding(VIAL_MG, Clock::standing());
         let grains = flip_sim::dispense::Settings { particles: 300, ..Default::default() };
         let spoon = Box::new(GrainsSpoon::new(&ParameterSet::default(), &grains, 5));
-        let arm = Arm::start(Settings { dead_man_ms: 60_000, ..Settings::DEFAULT }, pan.clone(), spoon).unwrap();
-        let deadlines = Deadlines { motion: Duration::from_secs(120), idle: PATIENCE * 20, ..Deadlines::default() };
+        let arm =
+            Arm::start(Settings { dead_man_ms: 60_000, ..Settings::DEFAULT }, pan.clone(), spoon)
+                .unwrap();
+        let deadlines = Deadlines {
+            motion: Duration::from_secs(120),
+            idle: PATIENCE * 20,
+            ..Deadlines::default()
+        };
         let mut client = Client::connect(arm.url(), Tap::none(), deadlines).unwrap();
         client.acquire().unwrap();
         client.scoop().unwrap();
@@ -127,7 +139,11 @@ fn an_owner_that_goes_gives_control_back_with_a_level_retracted_spoon() {
 fn a_client_that_dies_without_a_word_sets_off_the_dead_man() {
     let (arm, _) = laboratory(Settings::DEFAULT, Clock::standing());
     let url = arm.url().to_owned();
-    std::thread::spawn(move || raw(&url, |mut driver| async move { raw_tilted(&mut driver).await })).join().unwrap();
+    std::thread::spawn(move || {
+        raw(&url, |mut driver| async move { raw_tilted(&mut driver).await })
+    })
+    .join()
+    .unwrap();
     until("the dead-man", || is_safe(&arm) && arm.latched().is_some());
     let mut client = client(&arm);
     let refusal = client.acquire().unwrap_err().to_string();
@@ -151,7 +167,8 @@ fn a_busy_machine_ends_no_lease_of_an_emulated_arm() {
 
 #[test]
 fn after_the_dead_man_the_cause_is_told_and_not_the_next_step() {
-    let (arm, _) = laboratory(Settings { dead_man_ms: 100, ..Settings::DEFAULT }, Clock::standing());
+    let (arm, _) =
+        laboratory(Settings { dead_man_ms: 100, ..Settings::DEFAULT }, Clock::standing());
     let mut client = tilted(&arm);
     arm.inject(Fault::CommunicationLoss);
     until("the dead-man", || is_safe(&arm) && arm.latched().is_some());
@@ -172,7 +189,9 @@ fn a_latched_arm_is_told_from_a_busy_one() {
     let mut first = tilted(&arm);
     assert!(matches!(second.acquire(), Err(DeviceError::Forbidden { .. })));
     arm.inject(Fault::UserStop);
-    assert!(matches!(first.shake(8.0), Err(DeviceError::Latched { cause, .. }) if cause.contains("user stop")));
+    assert!(
+        matches!(first.shake(8.0), Err(DeviceError::Latched { cause, .. }) if cause.contains("user stop"))
+    );
     assert!(matches!(second.acquire(), Err(DeviceError::Latched { .. })));
 }
 
@@ -207,7 +226,10 @@ fn stop_ends_a_motion_under_way_and_the_weighing_with_it() {
     assert!(client.pitch(5.0).unwrap_err().to_string().contains("was stopped"));
     client.retract().unwrap();
     assert!(is_safe(&arm) && pan.final_load_mg() == VIAL_MG);
-    assert!(matches!(client.approach(), Err(DeviceError::Forbidden { .. })), "a new lease is needed");
+    assert!(
+        matches!(client.approach(), Err(DeviceError::Forbidden { .. })),
+        "a new lease is needed"
+    );
     client.release().unwrap();
     client.acquire().unwrap();
 }
@@ -249,8 +271,10 @@ fn a_repeated_number_moves_nothing_and_answers_as_before() {
     let url = arm.url().to_owned();
     raw(&url, |mut driver| async move {
         let lease_id = raw_tilted(&mut driver).await;
-        let ticket = |sequence| Some(proto::Ticket { lease_id: lease_id.clone(), sequence, deadline_ms: 0 });
-        let shake = |sequence, amplitude_mm| proto::ShakeRequest { ticket: ticket(sequence), amplitude_mm };
+        let ticket =
+            |sequence| Some(proto::Ticket { lease_id: lease_id.clone(), sequence, deadline_ms: 0 });
+        let shake =
+            |sequence, amplitude_mm| proto::ShakeRequest { ticket: ticket(sequence), amplitude_mm };
         let first = driver.shake(shake(9, 8.0)).await.unwrap().into_inner();
         assert_eq!(driver.shake(shake(9, 8.0)).await.unwrap().into_inner(), first);
         for again in [shake(9, 8.5), shake(8, 8.0)] {
@@ -260,12 +284,17 @@ fn a_repeated_number_moves_nothing_and_answers_as_before() {
             assert_eq!(driver.shake(wrong).await.unwrap_err().code(), tonic::Code::InvalidArgument);
         }
         let stranger = proto::ShakeRequest {
-            ticket: Some(proto::Ticket { lease_id: "another".to_owned(), sequence: 10, deadline_ms: 0 }),
+            ticket: Some(proto::Ticket {
+                lease_id: "another".to_owned(),
+                sequence: 10,
+                deadline_ms: 0,
+            }),
             amplitude_mm: 8.0,
         };
         assert_eq!(driver.shake(stranger).await.unwrap_err().code(), tonic::Code::PermissionDenied);
     });
-    let shakes: Vec<_> = arm.log().into_iter().filter(|event| matches!(event.motion, Asked::Shake(_))).collect();
+    let shakes: Vec<_> =
+        arm.log().into_iter().filter(|event| matches!(event.motion, Asked::Shake(_))).collect();
     assert_eq!(shakes.len(), 1);
     assert!((pan.final_load_mg() - VIAL_MG - shakes[0].poured_mg).abs() < 1e-9);
 }
@@ -281,7 +310,8 @@ fn a_motion_whose_connection_breaks_is_asked_for_again_and_made_once() {
         arm.clear();
         shake.join().unwrap().unwrap()
     });
-    let shakes: Vec<_> = arm.log().into_iter().filter(|event| matches!(event.motion, Asked::Shake(_))).collect();
+    let shakes: Vec<_> =
+        arm.log().into_iter().filter(|event| matches!(event.motion, Asked::Shake(_))).collect();
     assert_eq!((shakes.len(), shakes[0].amplitude_mm), (1, shaken.amplitude_mm));
     client.retract().unwrap();
 }
@@ -310,7 +340,11 @@ fn every_fault_ends_with_a_safe_spoon_or_a_latched_arm() {
         let shaken = client.shake(8.0);
         let way_out = client.retract();
         let is_fatal = !matches!(fault, Fault::SlowReply(_) | Fault::ShakeTooLarge(_));
-        assert_eq!(shaken.is_err() || way_out.is_err(), is_fatal, "{fault:?}: {shaken:?} {way_out:?}");
+        assert_eq!(
+            shaken.is_err() || way_out.is_err(),
+            is_fatal,
+            "{fault:?}: {shaken:?} {way_out:?}"
+        );
         if let (Fault::ShakeTooLarge(factor), Ok(shake)) = (fault, &shaken) {
             assert!((shake.amplitude_mm - factor * 7.42).abs() < 1e-9);
         }
@@ -353,7 +387,8 @@ fn states_show_a_motion_while_it_lasts() {
     let url = arm.url().to_owned();
     let shown = std::thread::spawn(move || {
         raw(&url, |mut driver| async move {
-            let mut states = driver.stream_state(proto::StreamStateRequest {}).await.unwrap().into_inner();
+            let mut states =
+                driver.stream_state(proto::StreamStateRequest {}).await.unwrap().into_inner();
             let mut furthest_mm = 0.0f64;
             while let Some(state) = states.message().await.unwrap() {
                 furthest_mm = furthest_mm.max(state.shake_displacement_mm);
@@ -367,7 +402,10 @@ fn states_show_a_motion_while_it_lasts() {
     std::thread::sleep(Duration::from_millis(100));
     client.shake(16.0).unwrap();
     let (furthest_mm, executed_mm) = shown.join().unwrap();
-    assert!(furthest_mm > 0.5 * executed_mm && furthest_mm <= executed_mm, "{furthest_mm} of {executed_mm}");
+    assert!(
+        furthest_mm > 0.5 * executed_mm && furthest_mm <= executed_mm,
+        "{furthest_mm} of {executed_mm}"
+    );
 }
 
 #[test]
@@ -379,9 +417,13 @@ fn every_call_and_answer_is_heard_by_the_tap() {
     let mut client = Client::connect(arm.url(), tap, Deadlines::default()).unwrap();
     client.acquire().unwrap();
     client.pitch(12.5).unwrap();
-    assert!(client.scoop().is_ok() && client.shake(99.0).is_err(), "what is refused here is not sent");
+    assert!(
+        client.scoop().is_ok() && client.shake(99.0).is_err(),
+        "what is refused here is not sent"
+    );
     drop(client);
-    let texts: Vec<String> = heard.lock().unwrap().iter().map(|exchange| exchange.text.clone()).collect();
+    let texts: Vec<String> =
+        heard.lock().unwrap().iter().map(|exchange| exchange.text.clone()).collect();
     let sent: Vec<&str> = texts.iter().step_by(2).map(String::as_str).collect();
     assert_eq!(sent, ["Describe", "Acquire", "1 Pitch to 12.5 deg", "2 Scoop", "Release"]);
     assert!(texts[5].contains("pitch_deg: 12.5"), "{}", texts[5]);
@@ -391,7 +433,10 @@ fn every_call_and_answer_is_heard_by_the_tap() {
 fn nothing_that_listens_is_no_arm() {
     let port = TcpListener::bind(("127.0.0.1", 0)).unwrap().local_addr().unwrap();
     for url in [format!("http://{port}"), "no address".to_owned()] {
-        assert!(matches!(Client::connect(&url, Tap::none(), Deadlines::default()), Err(DeviceError::Lost { .. })));
+        assert!(matches!(
+            Client::connect(&url, Tap::none(), Deadlines::default()),
+            Err(DeviceError::Lost { .. })
+        ));
     }
 }
 
@@ -406,8 +451,14 @@ fn raw<A, F: Future<Output = A>>(url: &str, talk: impl FnOnce(Driver) -> F) -> A
 /// Take control, fill the spoon and tilt it over the vial, with sequence numbers 1 to 3; returns
 /// the lease.
 async fn raw_tilted(driver: &mut Driver) -> String {
-    let lease = driver.acquire(proto::AcquireRequest { client: "test".to_owned() }).await.unwrap().into_inner();
-    let ticket = |sequence| Some(proto::Ticket { lease_id: lease.lease_id.clone(), sequence, deadline_ms: 0 });
+    let lease = driver
+        .acquire(proto::AcquireRequest { client: "test".to_owned() })
+        .await
+        .unwrap()
+        .into_inner();
+    let ticket = |sequence| {
+        Some(proto::Ticket { lease_id: lease.lease_id.clone(), sequence, deadline_ms: 0 })
+    };
     driver.scoop(proto::ScoopRequest { ticket: ticket(1) }).await.unwrap();
     driver.approach(proto::ApproachRequest { ticket: ticket(2) }).await.unwrap();
     driver.pitch(proto::PitchRequest { ticket: ticket(3), pitch_deg: 40.0 }).await.unwrap();

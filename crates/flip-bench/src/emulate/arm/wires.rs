@@ -36,7 +36,10 @@ impl Wires {
     }
 
     /// Accept connections until the receiver is dropped.
-    pub(super) fn accept(&self, listener: TcpListener) -> std::io::Result<ReceiverStream<std::io::Result<TcpStream>>> {
+    pub(super) fn accept(
+        &self,
+        listener: TcpListener,
+    ) -> std::io::Result<ReceiverStream<std::io::Result<TcpStream>>> {
         listener.set_nonblocking(true)?;
         let listener = tokio::net::TcpListener::from_std(listener)?;
         let (pass, incoming) = mpsc::channel(WAITING_MAX);

@@ -30,7 +30,8 @@ pub(super) fn say(request: Request, outcome: &Outcome) -> Option<String> {
 fn frame(display: &Display) -> String {
     match display {
         Display::Mass { number, unit, stable } => {
-            let (sign, digits) = number.strip_prefix('-').map_or(('+', number.as_str()), |digits| ('-', digits));
+            let (sign, digits) =
+                number.strip_prefix('-').map_or(('+', number.as_str()), |digits| ('-', digits));
             format!("{},{sign}{digits:0>9}{unit:>3}", if *stable { "ST" } else { "US" })
         }
         Display::Overload => "OL,+9999999E+19".to_owned(),

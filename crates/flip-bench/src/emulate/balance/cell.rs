@@ -107,16 +107,22 @@ impl Cell {
             return display;
         }
         let steps = self.frozen_steps.unwrap_or_else(|| self.steps(faults.has(Fault::Draught)));
-        let (mut number, unit) = self.number(steps * self.settings.readability_mg, faults.has(Fault::UnitSwitched));
+        let (mut number, unit) =
+            self.number(steps * self.settings.readability_mg, faults.has(Fault::UnitSwitched));
         if faults.has(Fault::NotANumber) {
             number = "NaN".to_owned();
         }
-        Display::Mass { number, unit, stable: self.frozen_steps.is_some() || self.is_stable(faults) }
+        Display::Mass {
+            number,
+            unit,
+            stable: self.frozen_steps.is_some() || self.is_stable(faults),
+        }
     }
 
     fn condition(&self, faults: &Faults) -> Option<Display> {
         let gross_mg = self.gross_mg();
-        let (capacity_mg, slack_mg) = (self.settings.capacity_mg, 9.0 * self.settings.readability_mg);
+        let (capacity_mg, slack_mg) =
+            (self.settings.capacity_mg, 9.0 * self.settings.readability_mg);
         if faults.has(Fault::Adjusting) {
             Some(Display::Adjusting)
         } else if faults.has(Fault::NotReady) {
@@ -139,18 +145,26 @@ impl Cell {
         }
         let changed_at_ms = ((self.pan.clock().now_s() - quiet_s) * 1e3).round() as u64;
         let [least_s, most_s] = self.settings.flag_after_s;
-        quiet_s >= least_s + (most_s - least_s) * uniform(derive(self.settings.seed, &[1, changed_at_ms]))
+        quiet_s
+            >= least_s
+                + (most_s - least_s) * uniform(derive(self.settings.seed, &[1, changed_at_ms]))
     }
 
     /// Tare; returns the tare as the display writes it.
     pub(super) fn tare(&mut self) -> (String, &'static str) {
         self.go_astray();
         self.tare_mg = self.gross_mg();
-        self.number((self.tare_mg / self.settings.readability_mg).round() * self.settings.readability_mg, false)
+        self.number(
+            (self.tare_mg / self.settings.readability_mg).round() * self.settings.readability_mg,
+            false,
+        )
     }
 
     pub(super) fn tare_text(&self) -> (String, &'static str) {
-        self.number((self.tare_mg / self.settings.readability_mg).round() * self.settings.readability_mg, false)
+        self.number(
+            (self.tare_mg / self.settings.readability_mg).round() * self.settings.readability_mg,
+            false,
+        )
     }
 
     pub(super) fn clear_tare(&mut self) {
@@ -180,16 +194,20 @@ impl Cell {
         let now_s = self.pan.clock().now_s();
         let kept = self.wander.at_s.map_or(0.0, |at_s| libm::exp(-(now_s - at_s) / wander_s));
         if kept < 1.0 {
-            let new_mg = wander_mg * (1.0 - kept * kept).sqrt() * normal(derive(seed, &[2, self.wander.moves]));
+            let new_mg = wander_mg
+                * (1.0 - kept * kept).sqrt()
+                * normal(derive(seed, &[2, self.wander.moves]));
             let mass_mg = kept * self.wander.mass_mg + new_mg;
             self.wander = Wander { mass_mg, at_s: Some(now_s), moves: self.wander.moves + 1 };
         }
     }
 
     fn gross_mg(&self) -> f64 {
-        let drift_mg =
-            self.drifting_since_s.map_or(0.0, |since_s| DRIFT_MG_PER_S * (self.pan.clock().now_s() - since_s));
-        self.pan.felt_mg(self.settings.settling_tau_s) + self.wander.mass_mg + drift_mg - self.zero_mg
+        let drift_mg = self
+            .drifting_since_s
+            .map_or(0.0, |since_s| DRIFT_MG_PER_S * (self.pan.clock().now_s() - since_s));
+        self.pan.felt_mg(self.settings.settling_tau_s) + self.wander.mass_mg + drift_mg
+            - self.zero_mg
     }
 
     /// Net mass in steps of the display.

@@ -231,7 +231,8 @@ impl Balance {
     pub fn plug_in(&mut self) -> std::io::Result<()> {
         self.unplug();
         self.shared.closing.store(false, Ordering::SeqCst);
-        let address = self.address().strip_prefix("tcp://").and_then(|address| address.parse().ok());
+        let address =
+            self.address().strip_prefix("tcp://").and_then(|address| address.parse().ok());
         self.socket = address.map_or(self.socket, Socket::Tcp);
         self.port = serve(&self.shared, self.socket)?;
         Ok(())

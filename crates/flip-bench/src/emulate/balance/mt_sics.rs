@@ -24,9 +24,10 @@ pub(super) fn understand(command: &str) -> Request {
         "TA" => Request::TareValue,
         "TAC" => Request::ClearTare,
         "@" => understand("I4"),
-        _ => {
-            WORDS.iter().find(|(name, _)| *name == command).map_or(Request::Unknown, |(_, words)| Request::Words(words))
-        }
+        _ => WORDS
+            .iter()
+            .find(|(name, _)| *name == command)
+            .map_or(Request::Unknown, |(_, words)| Request::Words(words)),
     }
 }
 
@@ -48,12 +49,17 @@ pub(super) fn say(request: Request, outcome: &Outcome) -> Option<String> {
             return Some(format!("{name} {} {number:>10} {unit}", if *stable { "S" } else { "D" }));
         }
         Outcome::Tared(number, unit) => {
-            return Some(format!("{name} {} {number:>10} {unit}", if name == "TA" { "A" } else { "S" }));
+            return Some(format!(
+                "{name} {} {number:>10} {unit}",
+                if name == "TA" { "A" } else { "S" }
+            ));
         }
         Outcome::Shows(Display::Overload) | Outcome::OutOfRange => "+",
         Outcome::Shows(Display::Underload) => "-",
         Outcome::Shows(Display::NotReady | Display::Adjusting) | Outcome::NotStable => "I",
-        Outcome::Done { stable } if name == "ZI" => return Some(format!("ZI {}", if *stable { "S" } else { "D" })),
+        Outcome::Done { stable } if name == "ZI" => {
+            return Some(format!("ZI {}", if *stable { "S" } else { "D" }));
+        }
         Outcome::Done { .. } | Outcome::AsAsked => "A",
     };
     Some(format!("{name} {status}"))

@@ -23,9 +23,10 @@ pub(super) fn say(request: Request, outcome: &Outcome, tared: bool) -> Option<St
         (Request::Unknown, _) => Some("ES".to_owned()),
         (_, Outcome::Shows(display)) => Some(frame(display, tared)),
         (Request::WhenStable, _) => Some("ES".to_owned()),
-        (Request::Tare { .. } | Request::Zero { .. }, Outcome::Tared(..) | Outcome::Done { .. }) => {
-            Some("OK!".to_owned())
-        }
+        (
+            Request::Tare { .. } | Request::Zero { .. },
+            Outcome::Tared(..) | Outcome::Done { .. },
+        ) => Some("OK!".to_owned()),
         (_, _) => None,
     }
 }

@@ -55,7 +55,12 @@ pub(super) fn understand(dialect: Dialect, command: &str) -> Request {
 }
 
 /// The reply line, without its terminator; `None`: no reply.
-pub(super) fn say(dialect: Dialect, request: Request, outcome: &Outcome, tared: bool) -> Option<String> {
+pub(super) fn say(
+    dialect: Dialect,
+    request: Request,
+    outcome: &Outcome,
+    tared: bool,
+) -> Option<String> {
     match dialect {
         Dialect::MtSics => mt_sics::say(request, outcome),
         Dialect::Ohaus => ohaus::say(request, outcome, tared),

@@ -23,7 +23,8 @@ pub(super) fn say(request: Request, outcome: &Outcome) -> Option<String> {
     };
     Some(match display {
         Display::Mass { number, unit, stable } => {
-            let (sign, digits) = number.strip_prefix('-').map_or(('+', number.as_str()), |digits| ('-', digits));
+            let (sign, digits) =
+                number.strip_prefix('-').map_or(('+', number.as_str()), |digits| ('-', digits));
             format!("N     {sign}{digits:>9} {:<3}", if *stable { unit } else { "" })
         }
         Display::Overload => special("High"),

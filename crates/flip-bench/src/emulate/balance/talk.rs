@@ -103,12 +103,9 @@ impl Conversation {
                 let (number, unit) = cell.tare();
                 Outcome::Tared(number, unit)
             }),
-            Request::Zero { at_once } => {
-                self.change(
-                    at_once,
-                    |cell, stable| if cell.zero() { Outcome::Done { stable } } else { Outcome::OutOfRange },
-                )
-            }
+            Request::Zero { at_once } => self.change(at_once, |cell, stable| {
+                if cell.zero() { Outcome::Done { stable } } else { Outcome::OutOfRange }
+            }),
             Request::TareValue => {
                 let (number, unit) = self.shared.cell().tare_text();
                 Outcome::Tared(number, unit)
@@ -148,7 +145,11 @@ impl Conversation {
         Outcome::NotStable
     }
 
-    fn change(&self, at_once: bool, change: impl FnOnce(&mut super::cell::Cell, bool) -> Outcome) -> Outcome {
+    fn change(
+        &self,
+        at_once: bool,
+        change: impl FnOnce(&mut super::cell::Cell, bool) -> Outcome,
+    ) -> Outcome {
         let shown = if at_once { self.show() } else { self.when_stable() };
         match shown {
             Outcome::Shows(Display::Mass { stable, .. }) => change(&mut self.shared.cell(), stable),
@@ -183,7 +184,8 @@ impl Conversation {
     /// Replace one digit with another, if there is one.
     fn change_digit(&self, bytes: &mut [u8]) {
         let chance = derive(self.shared.settings.seed, &[3, self.answers]);
-        let mut digits: Vec<&mut u8> = bytes.iter_mut().filter(|byte| byte.is_ascii_digit()).collect();
+        let mut digits: Vec<&mut u8> =
+            bytes.iter_mut().filter(|byte| byte.is_ascii_digit()).collect();
         if let Some(place) = (chance as usize / 9).checked_rem(digits.len()) {
             let digit = *digits[place] - b'0';
             *digits[place] = b'0' + (digit + 1 + (chance % 9) as u8) % 10;

@@ -55,7 +55,9 @@ impl FromStr for CameraFault {
     fn from_str(text: &str) -> Result<Self, String> {
         let found = Self::ALL.iter().find(|(name, _)| *name == text);
         let names = || Self::ALL.map(|(name, _)| name).join(", ");
-        found.map(|(_, fault)| *fault).ok_or_else(|| format!("no camera fault is called {text}: one of {}", names()))
+        found
+            .map(|(_, fault)| *fault)
+            .ok_or_else(|| format!("no camera fault is called {text}: one of {}", names()))
     }
 }
 
@@ -68,7 +70,9 @@ pub fn faulty_frames(fault: CameraFault, scene: &Scene, optics: &Optics, seed: u
         CameraFault::HeavyNoise => noise.frame_mm = 10.0,
         CameraFault::FunnelMissing => scene.funnel = None,
         CameraFault::PileMissing => scene.surface = Surface::Bare,
-        CameraFault::BaseNotCovered => scene.surface = Surface::Cone(Cone { cover: 0.75, ..Cone::of_deg(35.0) }),
+        CameraFault::BaseNotCovered => {
+            scene.surface = Surface::Cone(Cone { cover: 0.75, ..Cone::of_deg(35.0) })
+        }
         CameraFault::Tilted => pose.roll_deg = 20.0,
         _ => {}
     }
@@ -85,7 +89,8 @@ pub fn faulty_frames(fault: CameraFault, scene: &Scene, optics: &Optics, seed: u
         }
         CameraFault::FewFrames => taken.truncate(3),
         CameraFault::WrongSize => {
-            let other = if *optics == Optics::coarse() { Optics::default() } else { Optics::coarse() };
+            let other =
+                if *optics == Optics::coarse() { Optics::default() } else { Optics::coarse() };
             taken[4] = frames(&scene, &pose, &other, &noise, seed, 1).remove(0);
         }
         _ => {}
@@ -103,7 +108,10 @@ pub fn faulty_uploads(
     optics: &Optics,
     seed: u64,
 ) -> Result<Vec<Upload>, png::EncodingError> {
-    let mut uploads = faulty_frames(fault, scene, optics, seed).iter().map(upload).collect::<Result<Vec<_>, _>>()?;
+    let mut uploads = faulty_frames(fault, scene, optics, seed)
+        .iter()
+        .map(upload)
+        .collect::<Result<Vec<_>, _>>()?;
     if let (CameraFault::TruncatedFile, Some(last)) = (fault, uploads.last_mut()) {
         last.depth.truncate(last.depth.len() / 2);
     }

@@ -79,15 +79,28 @@ pub struct Optics {
 impl Scene {
     /// A base of 60 mm, 15 mm over the bench, under a tip 60 mm above it.
     pub fn of(surface: Surface) -> Self {
-        let funnel = Funnel { tip_height_mm: 60.0, spout_diameter_mm: 10.0, off_centre_mm: [0.0; 2] };
-        Self { surface, base_diameter_mm: 60.0, base_height_mm: 15.0, overflow_mm: 3.0, funnel: Some(funnel) }
+        let funnel =
+            Funnel { tip_height_mm: 60.0, spout_diameter_mm: 10.0, off_centre_mm: [0.0; 2] };
+        Self {
+            surface,
+            base_diameter_mm: 60.0,
+            base_height_mm: 15.0,
+            overflow_mm: 3.0,
+            funnel: Some(funnel),
+        }
     }
 }
 
 impl Default for Pose {
     /// 200 mm away, 30 degrees down: tip, apex and the near flank are all visible.
     fn default() -> Self {
-        Self { distance_mm: 200.0, aim_height_mm: 25.0, elevation_deg: 30.0, roll_deg: 0.0, yaw_deg: 0.0 }
+        Self {
+            distance_mm: 200.0,
+            aim_height_mm: 25.0,
+            elevation_deg: 30.0,
+            roll_deg: 0.0,
+            yaw_deg: 0.0,
+        }
     }
 }
 
@@ -98,8 +111,16 @@ impl Default for Optics {
         let coefficients = [-0.055, 0.062, -0.0004, 0.0006, -0.02];
         let model = Distortion::InverseBrownConrady;
         let (width, height) = (848, 480);
-        let intrinsics =
-            Intrinsics { width, height, fx: 431.2, fy: 430.7, ppx: 425.3, ppy: 238.6, model, coefficients };
+        let intrinsics = Intrinsics {
+            width,
+            height,
+            fx: 431.2,
+            fy: 430.7,
+            ppx: 425.3,
+            ppy: 238.6,
+            model,
+            coefficients,
+        };
         Self { intrinsics, unit_mm: 0.1, scale_error: 0.0, range_mm: 500.0 }
     }
 }
@@ -110,7 +131,8 @@ impl Optics {
         let mut optics = Self::default();
         let lens = &mut optics.intrinsics;
         (lens.width, lens.height) = (424, 240);
-        (lens.fx, lens.fy, lens.ppx, lens.ppy) = (lens.fx / 2.0, lens.fy / 2.0, lens.ppx / 2.0, lens.ppy / 2.0);
+        (lens.fx, lens.fy, lens.ppx, lens.ppy) =
+            (lens.fx / 2.0, lens.fy / 2.0, lens.ppx / 2.0, lens.ppy / 2.0);
         optics
     }
 }
@@ -119,14 +141,28 @@ impl Optics {
 const BEGAN_UNIX_MS: i64 = 1_795_248_000_000;
 
 /// Frames of a scene at rest: one picture, with separate noise for each frame.
-pub fn frames(scene: &Scene, pose: &Pose, optics: &Optics, noise: &Noise, seed: u64, count: usize) -> Vec<Frame> {
+pub fn frames(
+    scene: &Scene,
+    pose: &Pose,
+    optics: &Optics,
+    noise: &Noise,
+    seed: u64,
+    count: usize,
+) -> Vec<Frame> {
     let picture = Picture::of(scene, pose, optics);
     let flaws = noise.flaws(&picture, derive(seed, &[0]));
     (0..count)
         .map(|k| {
-            let (depth, colour) = noise.expose(&picture, &flaws, optics, derive(seed, &[1, k as u64]));
+            let (depth, colour) =
+                noise.expose(&picture, &flaws, optics, derive(seed, &[1, k as u64]));
             let taken_at = Timestamp::from_unix_ms(BEGAN_UNIX_MS + k as i64 * 1000 / 30);
-            Frame { intrinsics: optics.intrinsics, depth_unit_m: optics.unit_mm * 1e-3, depth, colour, taken_at }
+            Frame {
+                intrinsics: optics.intrinsics,
+                depth_unit_m: optics.unit_mm * 1e-3,
+                depth,
+                colour,
+                taken_at,
+            }
         })
         .collect()
 }

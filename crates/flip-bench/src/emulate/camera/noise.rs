@@ -28,14 +28,27 @@ pub struct Noise {
 
 impl Default for Noise {
     fn default() -> Self {
-        Self { frame_mm: 0.5, fixed_mm: 0.15, missing: 0.02, textureless: 0.05, edge_pixels: 2, colour: 3.0 }
+        Self {
+            frame_mm: 0.5,
+            fixed_mm: 0.15,
+            missing: 0.02,
+            textureless: 0.05,
+            edge_pixels: 2,
+            colour: 3.0,
+        }
     }
 }
 
 impl Noise {
     /// No noise.
-    pub const NONE: Self =
-        Self { frame_mm: 0.0, fixed_mm: 0.0, missing: 0.0, textureless: 0.0, edge_pixels: 0, colour: 0.0 };
+    pub const NONE: Self = Self {
+        frame_mm: 0.0,
+        fixed_mm: 0.0,
+        missing: 0.0,
+        textureless: 0.0,
+        edge_pixels: 0,
+        colour: 0.0,
+    };
 }
 
 /// Side of a patch of fixed errors, and of one without texture, pixels.
@@ -61,7 +74,9 @@ impl Noise {
         let offset = |k: u64| f64::from(derive(seed, &[k]) as u16) * 100.0;
         let (fixed, blank) = ([offset(0), offset(1)], [offset(2), offset(3)]);
         let at = |k: usize| [(k % picture.width) as f64, (k / picture.width) as f64];
-        let field = |k: usize, [a, b]: [f64; 2], side: f64| bump([at(k)[0] / side + a, at(k)[1] / side + b]) / BUMP_SD;
+        let field = |k: usize, [a, b]: [f64; 2], side: f64| {
+            bump([at(k)[0] / side + a, at(k)[1] / side + b]) / BUMP_SD
+        };
         // The threshold exceeded by a given fraction of a nearly normal field.
         let level = match self.textureless > 0.0 {
             true => flip_core::stats::normal::quantile(1.0 - self.textureless.min(0.999)),
@@ -70,7 +85,9 @@ impl Noise {
         let pixels = 0..picture.depth_mm.len();
         Flaws {
             error: pixels.clone().map(|k| field(k, fixed, PATCH_PIXELS)).collect(),
-            blank: pixels.map(|k| picture.powder[k] && field(k, blank, BLANK_PIXELS) > level).collect(),
+            blank: pixels
+                .map(|k| picture.powder[k] && field(k, blank, BLANK_PIXELS) > level)
+                .collect(),
             edge: edges(picture, self.edge_pixels),
         }
     }
@@ -93,12 +110,19 @@ impl Noise {
                 _ => exact,
             };
             let grown = (true_mm / 200.0).powi(2);
-            let error = grown * (self.frame_mm * normal(&mut rng, &mut spare) + self.fixed_mm * flaws.error[k]);
+            let error = grown
+                * (self.frame_mm * normal(&mut rng, &mut spare) + self.fixed_mm * flaws.error[k]);
             let seen = (true_mm + error) / (1.0 + optics.scale_error);
             let valid = true_mm > 0.0 && !missing && !flaws.blank[k];
-            depth.push(if valid { (seen / optics.unit_mm).round().clamp(0.0, 65535.0) as u16 } else { 0 });
+            depth.push(if valid {
+                (seen / optics.unit_mm).round().clamp(0.0, 65535.0) as u16
+            } else {
+                0
+            });
         }
-        let mut shade = |c: f64| (c + self.colour * normal(&mut rng, &mut spare)).round().clamp(0.0, 255.0) as u8;
+        let mut shade = |c: f64| {
+            (c + self.colour * normal(&mut rng, &mut spare)).round().clamp(0.0, 255.0) as u8
+        };
         (depth, picture.colour.iter().map(|colour| colour.map(&mut shade)).collect())
     }
 }
@@ -121,7 +145,8 @@ fn edges(picture: &Picture, reach: usize) -> Vec<Option<f64>> {
         let inside = (0..width).contains(&u) && (0..height).contains(&v);
         if inside { picture.depth_mm[(v * width + u) as usize] } else { 0.0 }
     };
-    let around: Vec<(i64, i64)> = (1..=reach).flat_map(|n| [(n, 0), (-n, 0), (0, n), (0, -n)]).collect();
+    let around: Vec<(i64, i64)> =
+        (1..=reach).flat_map(|n| [(n, 0), (-n, 0), (0, n), (0, -n)]).collect();
     (0..width * height)
         .map(|k| {
             let (u, v) = (k % width, k / width);

@@ -61,8 +61,12 @@ impl Picture {
     pub fn of(scene: &Scene, pose: &Pose, optics: &Optics) -> Self {
         let eye = Eye::new(pose);
         let (width, height) = (optics.intrinsics.width as usize, optics.intrinsics.height as usize);
-        let hits: Vec<Option<Hit>> =
-            optics.intrinsics.directions().into_iter().map(|d| nearest(scene, eye.at, eye.ray(d))).collect();
+        let hits: Vec<Option<Hit>> = optics
+            .intrinsics
+            .directions()
+            .into_iter()
+            .map(|d| nearest(scene, eye.at, eye.ray(d)))
+            .collect();
         let in_range = |hit: &Option<Hit>| hit.filter(|hit| hit.0 <= optics.range_mm);
         let sharp: Vec<[f64; 3]> = hits.iter().map(|hit| hit.map_or(DARK, |hit| hit.1)).collect();
         Self {
@@ -78,14 +82,20 @@ impl Picture {
 /// Lens blur: the mean of three by three pixels.
 fn blurred(sharp: &[[f64; 3]], width: usize) -> Vec<[f64; 3]> {
     let pass = |from: &[[f64; 3]], step: usize| -> Vec<[f64; 3]> {
-        let at = |k: usize| [from[k.saturating_sub(step)], from[k], from[(k + step).min(from.len() - 1)]];
-        (0..from.len()).map(at).map(|[a, b, c]| std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0)).collect()
+        let at = |k: usize| {
+            [from[k.saturating_sub(step)], from[k], from[(k + step).min(from.len() - 1)]]
+        };
+        (0..from.len())
+            .map(at)
+            .map(|[a, b, c]| std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0))
+            .collect()
     };
     pass(&pass(sharp, 1), width)
 }
 
 fn nearest(scene: &Scene, eye: Vector, ray: Vector) -> Option<Hit> {
-    let hits = [ground(scene, eye, ray), scene.funnel.and_then(|funnel| funnel_hit(&funnel, eye, ray))];
+    let hits =
+        [ground(scene, eye, ray), scene.funnel.and_then(|funnel| funnel_hit(&funnel, eye, ray))];
     hits.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
@@ -148,12 +158,17 @@ fn struck(scene: &Scene, radius: f64, eye: Vector, ray: Vector, t: f64) -> Hit {
     let (place, r) = ([at[0], at[1]], at[0].hypot(at[1]));
     let top = height(scene, radius, place);
     // Below the surface at this point: the side of the base.
-    let is_side = (r - radius).abs() < 0.05 && at[2] < -0.05 && at[2] > -scene.base_height_mm + scene.overflow_mm;
-    let is_powder = !is_side && if r < radius { top > 0.02 } else { top > 0.3 - scene.base_height_mm };
+    let is_side = (r - radius).abs() < 0.05
+        && at[2] < -0.05
+        && at[2] > -scene.base_height_mm + scene.overflow_mm;
+    let is_powder =
+        !is_side && if r < radius { top > 0.02 } else { top > 0.3 - scene.base_height_mm };
     let light = 12.0 * (at[0] / radius);
     match (is_side, is_powder) {
         (true, _) => (t, shaded(BASE, [at[0], at[2]], 4.0), false),
-        (false, true) => (t, shaded(POWDER.map(|c| c + light), [at[0] * 2.0, at[1] * 2.0], 14.0), true),
+        (false, true) => {
+            (t, shaded(POWDER.map(|c| c + light), [at[0] * 2.0, at[1] * 2.0], 14.0), true)
+        }
         (false, false) if r < radius => (t, shaded(BASE, place, 6.0), false),
         _ => (t, shaded(BENCH, [at[0] / 3.0, at[1] / 3.0], 10.0), false),
     }
@@ -178,7 +193,8 @@ fn funnel_hit(funnel: &Funnel, eye: Vector, ray: Vector) -> Option<Hit> {
     let (tip, shoulder) = (funnel.tip_height_mm, funnel.tip_height_mm + SPOUT_MM);
     let local = [eye[0] - funnel.off_centre_mm[0], eye[1] - funnel.off_centre_mm[1], eye[2]];
     let parts = [[tip, shoulder, r, r], [shoulder, shoulder + MOUTH_MM[0], r, MOUTH_MM[1]]];
-    let t = parts.into_iter().filter_map(|part| frustum(part, local, ray)).min_by(f64::total_cmp)?;
+    let t =
+        parts.into_iter().filter_map(|part| frustum(part, local, ray)).min_by(f64::total_cmp)?;
     let at = along(local, ray, t);
     let light = 25.0 * at[0] / at[0].hypot(at[1]).max(1e-6);
     Some((t, shaded(FUNNEL.map(|c| c + light), [at[0], at[2]], 8.0), false))

@@ -52,11 +52,14 @@ impl Cone {
     /// Slope of a line through the flank between 20 % and 80 % of the height, averaged by area over
     /// all directions, degrees: the result of a cone fit to a perfect picture.
     pub fn cone_deg(&self) -> f64 {
-        let flank = (0..2000).map(|k| (f64::from(k) + 0.5) / 2000.0).filter(|q| (0.2..=0.8).contains(&self.lost(*q)));
+        let flank = (0..2000)
+            .map(|k| (f64::from(k) + 0.5) / 2000.0)
+            .filter(|q| (0.2..=0.8).contains(&self.lost(*q)));
         let [mut w, mut sq, mut sz, mut sqq, mut sqz] = [0.0; 5];
         for q in flank {
             let z = 1.0 - self.lost(q);
-            (w, sq, sz, sqq, sqz) = (w + q, sq + q * q, sz + q * z, sqq + q * q * q, sqz + q * q * z);
+            (w, sq, sz, sqq, sqz) =
+                (w + q, sq + q * q, sz + q * z, sqq + q * q * q, sqz + q * q * z);
         }
         let slope = (sq * sz - w * sqz) / (w * sqq - sq * sq);
         (slope * self.tip_deg.to_radians().tan()).atan().to_degrees()
@@ -75,7 +78,8 @@ impl Cone {
         let rim = (along * along + radius * radius - ex * ex - ey * ey).sqrt() - along;
         let smooth = self.height_mm(base_radius) * (1.0 - self.lost(far / rim));
         match self.grain_mm > 0.0 {
-            true => (smooth + 0.5 * self.grain_mm * bump([x / self.grain_mm, y / self.grain_mm])).max(0.0),
+            true => (smooth + 0.5 * self.grain_mm * bump([x / self.grain_mm, y / self.grain_mm]))
+                .max(0.0),
             false => smooth,
         }
     }
@@ -83,7 +87,8 @@ impl Cone {
 
 /// A number from -0.5 to 0.5 at each node of the unit grid, bilinear in between.
 pub(super) fn bump([x, y]: [f64; 2]) -> f64 {
-    let node = |i: f64, j: f64| derive(i as i64 as u64, &[j as i64 as u64]) as f64 / u64::MAX as f64 - 0.5;
+    let node =
+        |i: f64, j: f64| derive(i as i64 as u64, &[j as i64 as u64]) as f64 / u64::MAX as f64 - 0.5;
     let (i, j) = (x.floor(), y.floor());
     let (a, b) = (x - i, y - j);
     let row = |j: f64| node(i, j) * (1.0 - a) + node(i + 1.0, j) * a;
@@ -104,14 +109,17 @@ impl Heap {
     /// diameter, mm.
     pub fn of_grains(centres_mm: &[[f64; 3]], diameter_mm: f64) -> Self {
         let cell_mm = diameter_mm / 12.0;
-        let reach = centres_mm.iter().fold(0.0_f64, |reach, c| reach.max(c[0].abs()).max(c[1].abs())) + diameter_mm;
+        let reach =
+            centres_mm.iter().fold(0.0_f64, |reach, c| reach.max(c[0].abs()).max(c[1].abs()))
+                + diameter_mm;
         let half = (reach / cell_mm).ceil() as i64;
         let side = (2 * half + 1) as usize;
         let mut top_mm = vec![0.0_f64; side * side];
         for c in centres_mm {
             let [column, row] = [c[0], c[1]].map(|x| (x / cell_mm).round() as i64);
             for (i, j) in (-6..=6).flat_map(|i| (-6..=6).map(move |j| (column + i, row + j))) {
-                let apart = (i as f64 * cell_mm - c[0]).powi(2) + (j as f64 * cell_mm - c[1]).powi(2);
+                let apart =
+                    (i as f64 * cell_mm - c[0]).powi(2) + (j as f64 * cell_mm - c[1]).powi(2);
                 let rise = (0.25 * diameter_mm * diameter_mm - apart).max(0.0).sqrt();
                 if rise > 0.0 && i.abs() <= half && j.abs() <= half {
                     let top = &mut top_mm[(j + half) as usize * side + (i + half) as usize];

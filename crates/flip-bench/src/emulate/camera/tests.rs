@@ -68,6 +68,7 @@ fn faults_have_the_names_of_the_menu() {
 
 #[test]
 fn an_upload_decodes_to_its_frame() {
-    let frame = frames(&pile(30.0), &Pose::default(), &Optics::coarse(), &Noise::default(), 3, 1).remove(0);
+    let frame =
+        frames(&pile(30.0), &Pose::default(), &Optics::coarse(), &Noise::default(), 3, 1).remove(0);
     assert_eq!(upload(&frame).unwrap().decode(), Ok(frame));
 }

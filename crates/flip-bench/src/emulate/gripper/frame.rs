@@ -44,15 +44,18 @@ pub enum Unreadable {
 /// # Errors
 /// [`Unreadable`]
 pub fn parse(frame: &[u8]) -> Result<(u8, Request), Unreadable> {
-    let (body, sum) = frame.split_at_checked(frame.len().wrapping_sub(2)).ok_or(Unreadable::Length)?;
+    let (body, sum) =
+        frame.split_at_checked(frame.len().wrapping_sub(2)).ok_or(Unreadable::Length)?;
     if crc(body).to_le_bytes() != sum {
         return Err(Unreadable::Crc);
     }
     let word = |bytes: &[u8]| bytes.iter().fold(0, |high: u16, low| high << 8 | u16::from(*low));
     match *body {
         [slave, function @ (READ_HOLDING | READ_INPUT), ref rest @ ..] => {
-            let (first, count) =
-                rest.split_at_checked(2).filter(|(_, count)| count.len() == 2).ok_or(Unreadable::Length)?;
+            let (first, count) = rest
+                .split_at_checked(2)
+                .filter(|(_, count)| count.len() == 2)
+                .ok_or(Unreadable::Length)?;
             Ok((slave, Request::Read { function, first: word(first), count: word(count) }))
         }
         [slave, WRITE, a, b, c, d, bytes, ref values @ ..] => {
@@ -60,7 +63,13 @@ pub fn parse(frame: &[u8]) -> Result<(u8, Request), Unreadable> {
             if values.len() != usize::from(bytes) || values.len() != usize::from(count) * 2 {
                 return Err(Unreadable::Length);
             }
-            Ok((slave, Request::Write { first: word(&[a, b]), words: values.chunks(2).map(word).collect() }))
+            Ok((
+                slave,
+                Request::Write {
+                    first: word(&[a, b]),
+                    words: values.chunks(2).map(word).collect(),
+                },
+            ))
         }
         [_, WRITE, ..] | [] | [_] => Err(Unreadable::Length),
         [slave, function, ..] => Ok((slave, Request::Other { function })),

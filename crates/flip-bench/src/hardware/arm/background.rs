@@ -22,7 +22,8 @@ const RENEWAL_MAX: Duration = Duration::from_secs(1);
 const RENEWALS_MAX: usize = 8;
 
 /// Reason given when this side gave the lease up.
-pub(super) const UNATTENDED: &str = "nobody attended to it, so that its lease was given up: acquire it again";
+pub(super) const UNATTENDED: &str =
+    "nobody attended to it, so that its lease was given up: acquire it again";
 
 /// A value shared by two threads.
 type Shared<T> = Arc<Mutex<T>>;
@@ -74,9 +75,15 @@ pub(super) struct Renewals {
 }
 
 impl Renewals {
-    pub(super) fn start(remote: &Remote, lease_id: &str, every: Duration, attended: &Attended) -> Self {
+    pub(super) fn start(
+        remote: &Remote,
+        lease_id: &str,
+        every: Duration,
+        attended: &Attended,
+    ) -> Self {
         let ended = Shared::default();
-        let work = renew(remote.clone(), lease_id.to_owned(), every, attended.clone(), ended.clone());
+        let work =
+            renew(remote.clone(), lease_id.to_owned(), every, attended.clone(), ended.clone());
         Self { ended, _task: Task(remote.handle().spawn(work)) }
     }
 
@@ -114,14 +121,16 @@ async fn renew(
             }
         }
         if under_way.len() < RENEWALS_MAX {
-            let (mut client, request) = (remote.client(), RenewRequest { lease_id: lease_id.clone() });
+            let (mut client, request) =
+                (remote.client(), RenewRequest { lease_id: lease_id.clone() });
             under_way.spawn(timeout(RENEWAL_MAX, async move { client.renew(request).await }));
         }
     }
 }
 
 /// Outcome of one renewal.
-type Renewed = Result<Result<tonic::Response<RenewResponse>, tonic::Status>, tokio::time::error::Elapsed>;
+type Renewed =
+    Result<Result<tonic::Response<RenewResponse>, tonic::Status>, tokio::time::error::Elapsed>;
 
 /// The latest state of the arm.
 pub(super) struct States {

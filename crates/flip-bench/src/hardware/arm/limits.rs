@@ -39,7 +39,8 @@ impl Limits {
         if !positive.iter().all(|number| number.is_finite() && *number > 0.0) {
             return Err(garbled());
         }
-        let theirs = PitchLimits { lower_deg: limits.pitch_deg_min, upper_deg: limits.pitch_deg_max };
+        let theirs =
+            PitchLimits { lower_deg: limits.pitch_deg_min, upper_deg: limits.pitch_deg_max };
         let pitch = theirs.within(Reach::FULL.pitch);
         let numbers = limits.pitch_deg_min.is_finite() && limits.pitch_deg_max.is_finite();
         if !numbers || !(pitch.lower_deg..=pitch.upper_deg).contains(&0.0) {
@@ -63,7 +64,8 @@ impl Limits {
     /// [`DeviceError::Forbidden`]
     pub fn pitch_deg(&self, asked: f64) -> Result<f64, DeviceError> {
         let PitchLimits { lower_deg, upper_deg } = self.pitch;
-        bounded("pitch_deg", asked, lower_deg, upper_deg, "deg").map_err(|error| forbidden(error.to_string()))
+        bounded("pitch_deg", asked, lower_deg, upper_deg, "deg")
+            .map_err(|error| forbidden(error.to_string()))
     }
 
     /// Returns the amplitude if it is within limits.
@@ -71,7 +73,8 @@ impl Limits {
     /// # Errors
     /// [`DeviceError::Forbidden`]
     pub fn shake_mm(&self, asked: f64) -> Result<f64, DeviceError> {
-        bounded("shake_mm", asked, 0.0, self.shake_mm_max, "mm").map_err(|error| forbidden(error.to_string()))
+        bounded("shake_mm", asked, 0.0, self.shake_mm_max, "mm")
+            .map_err(|error| forbidden(error.to_string()))
     }
 }
 
@@ -94,7 +97,10 @@ mod tests {
         let limits = Limits::narrowed(Some(&THEIRS)).unwrap();
         assert_eq!(limits.pitch, PitchLimits { lower_deg: -30.0, upper_deg: 36.0 });
         let steep = proto::Limits { pitch_deg_max: 70.0, pitch_deg_min: -120.0, ..THEIRS };
-        assert_eq!(Limits::narrowed(Some(&steep)).unwrap().pitch, PitchLimits { lower_deg: -90.0, upper_deg: 70.0 });
+        assert_eq!(
+            Limits::narrowed(Some(&steep)).unwrap().pitch,
+            PitchLimits { lower_deg: -90.0, upper_deg: 70.0 }
+        );
         assert_eq!((limits.shake_mm_max, limits.motion), (SHAKE_MM_MAX, MotionLimits::PAPER));
     }
 
@@ -103,12 +109,20 @@ mod tests {
         let limits = Limits::narrowed(Some(&THEIRS)).unwrap();
         for pitch in [-30.1, 36.1, f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             assert!(
-                limits.pitch_deg(pitch).unwrap_err().to_string().contains("pitch_deg: must be a number from -30 to 36")
+                limits
+                    .pitch_deg(pitch)
+                    .unwrap_err()
+                    .to_string()
+                    .contains("pitch_deg: must be a number from -30 to 36")
             );
         }
         for shake in [-0.1, 16.1, f64::NAN, f64::INFINITY] {
             assert!(
-                limits.shake_mm(shake).unwrap_err().to_string().contains("shake_mm: must be a number from 0 to 16")
+                limits
+                    .shake_mm(shake)
+                    .unwrap_err()
+                    .to_string()
+                    .contains("shake_mm: must be a number from 0 to 16")
             );
         }
         assert_eq!((limits.pitch_deg(36.0), limits.shake_mm(0.0)), (Ok(36.0), Ok(0.0)));

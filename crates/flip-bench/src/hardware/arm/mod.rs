@@ -172,12 +172,15 @@ impl Arm {
             return Ok(());
         }
         self.control = None;
-        let request = proto::AcquireRequest { client: format!("flip, process {}", std::process::id()) };
+        let request =
+            proto::AcquireRequest { client: format!("flip, process {}", std::process::id()) };
         let call = |mut client: ArmClient<Channel>| async move { client.acquire(request).await };
         let lease = self.remote.ask("Acquire".to_owned(), self.deadlines.call, call);
         let lease = lease.map_err(|error| self.explained(error))?;
-        let renewals = Renewals::start(&self.urgent, &lease.lease_id, self.deadlines.renewal, &self.attended);
-        self.control = Some(Control { lease_id: lease.lease_id, sequence: 0, renewals, latched: None });
+        let renewals =
+            Renewals::start(&self.urgent, &lease.lease_id, self.deadlines.renewal, &self.attended);
+        self.control =
+            Some(Control { lease_id: lease.lease_id, sequence: 0, renewals, latched: None });
         Ok(())
     }
 
@@ -225,9 +228,12 @@ impl Arm {
     /// outside [`Limits`].
     pub fn pitch(&mut self, pitch_deg: f64) -> Result<Executed, DeviceError> {
         let pitch_deg = self.limits.pitch_deg(pitch_deg)?;
-        self.fresh_motion(&format!("Pitch to {pitch_deg} deg"), move |mut client, ticket| async move {
-            client.pitch(proto::PitchRequest { ticket: Some(ticket), pitch_deg }).await
-        })
+        self.fresh_motion(
+            &format!("Pitch to {pitch_deg} deg"),
+            move |mut client, ticket| async move {
+                client.pitch(proto::PitchRequest { ticket: Some(ticket), pitch_deg }).await
+            },
+        )
     }
 
     /// Shake the spoon once, out by this amplitude and back, mm.
@@ -236,9 +242,12 @@ impl Arm {
     /// As [`Arm::pitch`].
     pub fn shake(&mut self, amplitude_mm: f64) -> Result<Executed, DeviceError> {
         let amplitude_mm = self.limits.shake_mm(amplitude_mm)?;
-        self.fresh_motion(&format!("Shake by {amplitude_mm} mm"), move |mut client, ticket| async move {
-            client.shake(proto::ShakeRequest { ticket: Some(ticket), amplitude_mm }).await
-        })
+        self.fresh_motion(
+            &format!("Shake by {amplitude_mm} mm"),
+            move |mut client, ticket| async move {
+                client.shake(proto::ShakeRequest { ticket: Some(ticket), amplitude_mm }).await
+            },
+        )
     }
 
     /// Fill the retracted spoon from the powder's container and shake off the surplus there.
@@ -308,29 +317,41 @@ impl Arm {
     {
         let limit = self.deadlines.motion;
         self.attended.for_next(limit);
-        let control =
-            self.control.as_mut().ok_or_else(|| forbidden("nobody has taken control: acquire the arm first"))?;
+        let control = self
+            .control
+            .as_mut()
+            .ok_or_else(|| forbidden("nobody has taken control: acquire the arm first"))?;
         if let Some(ended) = control.ended() {
             return Err(self.explained(ended));
         }
         control.sequence += 1;
         let deadline_ms = u32::try_from(limit.as_millis()).unwrap_or(u32::MAX);
-        let ticket = proto::Ticket { lease_id: control.lease_id.clone(), sequence: control.sequence, deadline_ms };
+        let ticket = proto::Ticket {
+            lease_id: control.lease_id.clone(),
+            sequence: control.sequence,
+            deadline_ms,
+        };
         let ask = || {
             let ticket = ticket.clone();
-            self.remote.ask(format!("{} {what}", ticket.sequence), limit, |client| call(client, ticket))
+            self.remote
+                .ask(format!("{} {what}", ticket.sequence), limit, |client| call(client, ticket))
         };
         let answer = match ask() {
             Err(DeviceError::Lost { .. }) => ask(),
             answer => answer,
         };
         let answer = answer.and_then(|executed| checked(executed, ticket.sequence));
-        if let Err(DeviceError::Silent { .. } | DeviceError::Lost { .. } | DeviceError::Garbled { .. }) = &answer {
+        if let Err(
+            DeviceError::Silent { .. } | DeviceError::Lost { .. } | DeviceError::Garbled { .. },
+        ) = &answer
+        {
             self.stop_unanswered();
         }
         self.attended.now();
         let answer = answer.map_err(|error| self.explained(error));
-        if let (Some(control), Err(error @ DeviceError::Latched { .. })) = (&mut self.control, &answer) {
+        if let (Some(control), Err(error @ DeviceError::Latched { .. })) =
+            (&mut self.control, &answer)
+        {
             control.latched = Some(error.clone());
         }
         answer
@@ -344,7 +365,9 @@ impl Arm {
         }
         let until = Instant::now() + self.deadlines.call;
         loop {
-            let call = |mut client: ArmClient<Channel>| async move { client.describe(proto::DescribeRequest {}).await };
+            let call = |mut client: ArmClient<Channel>| async move {
+                client.describe(proto::DescribeRequest {}).await
+            };
             match self.remote.ask("Describe".to_owned(), self.deadlines.call, call) {
                 Ok(description) if !description.latch_cause.is_empty() => {
                     let cause = shortened(&description.latch_cause);
@@ -357,14 +380,18 @@ impl Arm {
                     };
                 }
                 // It brings the spoon back first, and only then is it latched or not.
-                Ok(_) if self.is_returning() && Instant::now() < until => std::thread::sleep(RETURNING_LOOK),
+                Ok(_) if self.is_returning() && Instant::now() < until => {
+                    std::thread::sleep(RETURNING_LOOK)
+                }
                 _ => return error,
             }
         }
     }
 
     fn is_returning(&self) -> bool {
-        self.states.newest().is_ok_and(|state| matches!(state.mode(), Mode::Returning | Mode::Latched))
+        self.states
+            .newest()
+            .is_ok_and(|state| matches!(state.mode(), Mode::Returning | Mode::Latched))
     }
 
     /// It is unknown whether the spoon still moves. After Stop it does not, and this lease can only
@@ -385,11 +412,15 @@ impl Drop for Arm {
 }
 
 fn described(remote: &Remote, deadlines: Deadlines) -> Result<(Description, Limits), DeviceError> {
-    let call = |mut client: ArmClient<Channel>| async move { client.describe(proto::DescribeRequest {}).await };
+    let call = |mut client: ArmClient<Channel>| async move {
+        client.describe(proto::DescribeRequest {}).await
+    };
     let description = remote.ask("Describe".to_owned(), deadlines.call, call)?;
     if description.protocol_version != PROTOCOL_VERSION {
         let theirs = description.protocol_version;
-        return Err(forbidden(format!("its driver speaks version {theirs} of the contract, FLIP {PROTOCOL_VERSION}")));
+        return Err(forbidden(format!(
+            "its driver speaks version {theirs} of the contract, FLIP {PROTOCOL_VERSION}"
+        )));
     }
     let limits = Limits::narrowed(description.limits.as_ref())?;
     Ok((description, limits))
@@ -398,7 +429,8 @@ fn described(remote: &Remote, deadlines: Deadlines) -> Result<(Description, Limi
 /// The answer, if its numbers are plausible for this motion.
 pub fn checked(executed: Executed, sequence: u64) -> Result<Executed, DeviceError> {
     let lengths = [executed.amplitude_mm, executed.peak_speed_m_s, executed.duration_s];
-    let sound = lengths.iter().all(|number| number.is_finite() && *number >= 0.0) && executed.pitch_deg.is_finite();
+    let sound = lengths.iter().all(|number| number.is_finite() && *number >= 0.0)
+        && executed.pitch_deg.is_finite();
     if sound && executed.sequence == sequence {
         return Ok(executed);
     }

@@ -55,10 +55,20 @@ impl Remote {
     /// Connect, with a thread of higher priority where the system allows it.
     pub(super) fn connect_first(url: &str, limit: Duration) -> Result<Self, DeviceError> {
         let mut builder = Builder::new_multi_thread();
-        Self::connect_by(builder.thread_name("arm lease").on_thread_start(go_first), url, Tap::none(), limit)
+        Self::connect_by(
+            builder.thread_name("arm lease").on_thread_start(go_first),
+            url,
+            Tap::none(),
+            limit,
+        )
     }
 
-    fn connect_by(builder: &mut Builder, url: &str, tap: Tap, limit: Duration) -> Result<Self, DeviceError> {
+    fn connect_by(
+        builder: &mut Builder,
+        url: &str,
+        tap: Tap,
+        limit: Duration,
+    ) -> Result<Self, DeviceError> {
         let thread = builder.worker_threads(1).enable_all().build();
         let runtime = thread.map_err(|error| lost(error.to_string()))?;
         let handle = runtime.handle().clone();
@@ -70,15 +80,23 @@ impl Remote {
         Self::open(self.runtime.clone(), self.handle.clone(), url, self.tap.clone(), limit)
     }
 
-    fn open(runtime: Arc<Runtime>, handle: Handle, url: &str, tap: Tap, limit: Duration) -> Result<Self, DeviceError> {
-        let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|error| lost(format!("{url}: {error}")))?;
+    fn open(
+        runtime: Arc<Runtime>,
+        handle: Handle,
+        url: &str,
+        tap: Tap,
+        limit: Duration,
+    ) -> Result<Self, DeviceError> {
+        let endpoint = Endpoint::from_shared(url.to_owned())
+            .map_err(|error| lost(format!("{url}: {error}")))?;
         let endpoint = endpoint
             .connect_timeout(limit)
             .tcp_nodelay(true)
             .http2_keep_alive_interval(ALIVE)
             .keep_alive_timeout(ALIVE)
             .keep_alive_while_idle(true);
-        let connected = wait(&handle, limit, async move { endpoint.connect().await }).ok_or_else(silent)?;
+        let connected =
+            wait(&handle, limit, async move { endpoint.connect().await }).ok_or_else(silent)?;
         let channel = connected.map_err(|error| lost(format!("{url}: {}", root(&error))))?;
         Ok(Self { runtime, handle, client: ArmClient::new(channel), tap })
     }
@@ -195,10 +213,17 @@ mod tests {
 
     #[test]
     fn a_status_says_what_a_caller_can_do_about_it() {
-        let check = |code: Code, expected: DeviceError| assert_eq!(refusal(&Status::new(code, "why")), expected);
+        let check = |code: Code, expected: DeviceError| {
+            assert_eq!(refusal(&Status::new(code, "why")), expected)
+        };
         check(Code::DeadlineExceeded, silent());
         check(Code::Unavailable, lost("why"));
-        for code in [Code::InvalidArgument, Code::FailedPrecondition, Code::PermissionDenied, Code::ResourceExhausted] {
+        for code in [
+            Code::InvalidArgument,
+            Code::FailedPrecondition,
+            Code::PermissionDenied,
+            Code::ResourceExhausted,
+        ] {
             check(code, forbidden("why"));
         }
         check(Code::AlreadyExists, forbidden("why"));
@@ -210,7 +235,9 @@ mod tests {
     #[test]
     fn a_drivers_text_is_cut_and_holds_no_control_characters() {
         let long = format!("\u{1b}[31m{}", "x".repeat(1000));
-        let DeviceError::Faulted { cause, .. } = refusal(&Status::internal(long)) else { panic!("a fault") };
+        let DeviceError::Faulted { cause, .. } = refusal(&Status::internal(long)) else {
+            panic!("a fault")
+        };
         assert!(cause.starts_with("[31mx") && cause.chars().count() == TEXT_MAX);
     }
 }

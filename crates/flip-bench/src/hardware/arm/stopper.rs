@@ -16,7 +16,11 @@ pub struct Stopper {
 }
 
 impl Stopper {
-    pub(super) fn connect(beside: &Remote, url: &str, limit: Duration) -> Result<Self, DeviceError> {
+    pub(super) fn connect(
+        beside: &Remote,
+        url: &str,
+        limit: Duration,
+    ) -> Result<Self, DeviceError> {
         Ok(Self { remote: beside.beside(url, limit)?, limit })
     }
 

@@ -74,11 +74,14 @@ pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
 
 /// The mass behind a header of `before` bytes.
 fn mass(rest: &str, before: usize, stable: bool) -> Result<Said, Unreadable> {
-    if let Some((kind, number)) = rest.split_once(',').filter(|(kind, _)| ["GS", "NT", "G", "N"].contains(kind)) {
+    if let Some((kind, number)) =
+        rest.split_once(',').filter(|(kind, _)| ["GS", "NT", "G", "N"].contains(kind))
+    {
         return loose_mass(number, before + kind.len() + 1, stable);
     }
     let end = rest.len().saturating_sub(UNIT_BYTES);
-    let number = rest.get(..end).filter(|number| number.starts_with(['+', '-'])).ok_or(Unreadable)?;
+    let number =
+        rest.get(..end).filter(|number| number.starts_with(['+', '-'])).ok_or(Unreadable)?;
     let allowed = if number.ends_with(']') { BRACKETED_BYTES } else { NUMBER_BYTES };
     if !allowed.contains(&number.len()) {
         return Err(Unreadable);

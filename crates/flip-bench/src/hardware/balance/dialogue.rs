@@ -47,7 +47,16 @@ enum After {
 
 impl Dialogue {
     pub(super) fn new(line: Line, dialect: Dialect, limit: Duration) -> Self {
-        Self { line, dialect, limit, chatty: true, behind: true, keeps_step: false, owed: 0, restarted: false }
+        Self {
+            line,
+            dialect,
+            limit,
+            chatty: true,
+            behind: true,
+            keeps_step: false,
+            owed: 0,
+            restarted: false,
+        }
     }
 
     /// Whether the balance answers the barrier command.
@@ -56,7 +65,11 @@ impl Dialogue {
     }
 
     /// Send one command; returns the reply with the raw line it was parsed from.
-    pub(super) fn ask(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
+    pub(super) fn ask(
+        &mut self,
+        command: Command,
+        limit: Duration,
+    ) -> Result<(Reply, Vec<u8>), DeviceError> {
         self.prepare()?;
         self.send(command)?;
         let answer = self.answer(command, limit);
@@ -156,7 +169,8 @@ impl Dialogue {
         let until = Instant::now() + self.limit;
         let mut after = After::Nothing;
         for _ in 0..LINES_MAX {
-            let line = match self.receive(barrier, until.saturating_duration_since(Instant::now())) {
+            let line = match self.receive(barrier, until.saturating_duration_since(Instant::now()))
+            {
                 Err(DeviceError::Silent { .. }) => return Ok(after),
                 line => line?,
             };
@@ -180,7 +194,9 @@ impl Dialogue {
         for _ in 0..LINES_MAX {
             match self.line.receive(until.saturating_duration_since(Instant::now())) {
                 Err(DeviceError::Silent { .. }) => return Ok(()),
-                Ok(line) if self.dialect.parse(&line).is_ok_and(|reply| is_refusal(&reply.said)) => {
+                Ok(line)
+                    if self.dialect.parse(&line).is_ok_and(|reply| is_refusal(&reply.said)) =>
+                {
                     until = Instant::now() + CHATTER;
                 }
                 Ok(_) | Err(DeviceError::Garbled { .. }) => {}
@@ -202,7 +218,11 @@ impl Dialogue {
     }
 
     /// The first line that can be the reply, or the last one where unsolicited lines occur.
-    fn answer(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
+    fn answer(
+        &mut self,
+        command: Command,
+        limit: Duration,
+    ) -> Result<(Reply, Vec<u8>), DeviceError> {
         let mut found = self.next_for(command, limit)?;
         let mut until = Instant::now() + if self.chatty { CHATTER } else { GLANCE };
         self.chatty = false;
@@ -220,7 +240,11 @@ impl Dialogue {
         Ok(found)
     }
 
-    fn next_for(&mut self, command: Command, limit: Duration) -> Result<(Reply, Vec<u8>), DeviceError> {
+    fn next_for(
+        &mut self,
+        command: Command,
+        limit: Duration,
+    ) -> Result<(Reply, Vec<u8>), DeviceError> {
         let until = Instant::now() + limit;
         for _ in 0..LINES_MAX {
             let raw = self.receive(command, until.saturating_duration_since(Instant::now()))?;

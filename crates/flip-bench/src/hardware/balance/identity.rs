@@ -51,9 +51,16 @@ impl Balance {
                 model = told(self.words(*command)?);
             }
         }
-        let serial = self.commands.serial.map_or(Ok(Told::Nothing), |command| self.words(command)).map(&mut told)?;
-        let software =
-            self.commands.software.map_or(Ok(Told::Nothing), |command| self.words(command)).map(&mut told)?;
+        let serial = self
+            .commands
+            .serial
+            .map_or(Ok(Told::Nothing), |command| self.words(command))
+            .map(&mut told)?;
+        let software = self
+            .commands
+            .software
+            .map_or(Ok(Told::Nothing), |command| self.words(command))
+            .map(&mut told)?;
         if !answers {
             return Err(DeviceError::Silent { device: DEVICE });
         }
@@ -78,7 +85,9 @@ impl Balance {
             answer => answer,
         };
         match answer {
-            Ok((Reply { said: Said::Text(text), .. }, _)) if !text.is_empty() => Ok(Told::Words(text)),
+            Ok((Reply { said: Said::Text(text), .. }, _)) if !text.is_empty() => {
+                Ok(Told::Words(text))
+            }
             Ok(_) => Ok(Told::Refused),
             // Every attempt returned another kind of line: no reply could be parsed.
             Err(DeviceError::Garbled { .. }) => Ok(Told::Refused),

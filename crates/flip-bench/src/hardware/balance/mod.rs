@@ -196,7 +196,9 @@ impl Balance {
         loop {
             match self.look(self.commands.immediate, seconds(self.settings.timeout_s))? {
                 Seen::Mass(sample) => return Ok(sample),
-                Seen::None(condition) if condition.passes() && !patience.is_spent() => self.clock.wait_s(PAUSE_S),
+                Seen::None(condition) if condition.passes() && !patience.is_spent() => {
+                    self.clock.wait_s(PAUSE_S)
+                }
                 Seen::None(condition) => return Err(refusal(condition)),
             }
         }
@@ -210,7 +212,8 @@ impl Balance {
     /// long before `timeout_s`.
     pub fn stable(&mut self, timeout_s: f64) -> Result<Sample, DeviceError> {
         let patience = Patience::new(&self.clock, timeout_s);
-        if let (StableBy::Command, Some(command)) = (self.settings.stable_by, self.commands.stable) {
+        if let (StableBy::Command, Some(command)) = (self.settings.stable_by, self.commands.stable)
+        {
             match self.look(command, seconds(timeout_s) + seconds(self.settings.timeout_s))? {
                 Seen::Mass(sample) => return Ok(sample),
                 // Ohaus gives the same reply when it waited in vain and when it does not know the
@@ -278,7 +281,9 @@ impl Balance {
                 Seen::Mass(sample) if sample.stable => return Ok(sample),
                 Seen::Mass(sample) => last = Some(sample),
                 Seen::None(condition) if condition.passes() && !patience.is_spent() => {}
-                Seen::None(condition) => return last.filter(|_| condition.passes()).ok_or(refusal(condition)),
+                Seen::None(condition) => {
+                    return last.filter(|_| condition.passes()).ok_or(refusal(condition));
+                }
             }
             if let Some(sample) = last.take_if(|_| patience.is_spent()) {
                 return Ok(sample);
@@ -287,10 +292,18 @@ impl Balance {
         }
     }
 
-    fn bring_to_zero(&mut self, command: Command, at_once: Option<Command>, verb: &str) -> Result<Sample, DeviceError> {
+    fn bring_to_zero(
+        &mut self,
+        command: Command,
+        at_once: Option<Command>,
+        verb: &str,
+    ) -> Result<Sample, DeviceError> {
         let limit_s = self.settings.stable_timeout_s;
         if !self.stable(limit_s)?.stable {
-            return Err(faulted(format!("no stable reading to {verb} at: {}", self.why_unstable())));
+            return Err(faulted(format!(
+                "no stable reading to {verb} at: {}",
+                self.why_unstable()
+            )));
         }
         self.window.forget();
         let by_window = at_once.filter(|_| self.settings.stable_by == StableBy::Window);
@@ -328,9 +341,8 @@ impl Balance {
     /// Whether the balance carried the command out; `false` where it does not know the command.
     fn order_at_once(&mut self, command: Command, verb: &str) -> Result<bool, DeviceError> {
         match self.dialogue.ask(command, seconds(self.settings.timeout_s)) {
-            Ok((Reply { said: Said::Condition(Condition::Unknown), .. }, _)) | Err(DeviceError::Silent { .. }) => {
-                Ok(false)
-            }
+            Ok((Reply { said: Said::Condition(Condition::Unknown), .. }, _))
+            | Err(DeviceError::Silent { .. }) => Ok(false),
             answer => obeyed(answer, verb).map(|()| true),
         }
     }
@@ -355,7 +367,8 @@ impl Balance {
 
     /// Display step, mg: from the settings, or the last place shown.
     fn step_mg(&self) -> f64 {
-        let last_place_mg = || self.form.map_or(0.0, |(unit, decimals)| value::place_mg(unit, decimals));
+        let last_place_mg =
+            || self.form.map_or(0.0, |(unit, decimals)| value::place_mg(unit, decimals));
         self.settings.readability_mg.unwrap_or_else(last_place_mg)
     }
 
@@ -379,19 +392,26 @@ impl Balance {
             Said::Condition(condition) => return Ok(Seen::None(condition)),
             Said::Done | Said::Text(_) => return Err(garbled(&raw)),
         };
-        let Some(unit) = weight.unit.or(self.unit_of_moving(&weight)).or(self.unit_by_step(&weight)) else {
+        let Some(unit) =
+            weight.unit.or(self.unit_of_moving(&weight)).or(self.unit_by_step(&weight))
+        else {
             return Ok(Seen::None(Condition::NoUnit));
         };
         let form = (unit, weight.number.decimals());
-        self.settings.readability_mg.map_or(Ok(()), |step_mg| in_steps_of(step_mg, &weight, unit, &raw))?;
-        if self.width.is_some_and(|width| width != weight.width) || self.form.replace(form) != Some(form) {
+        self.settings
+            .readability_mg
+            .map_or(Ok(()), |step_mg| in_steps_of(step_mg, &weight, unit, &raw))?;
+        if self.width.is_some_and(|width| width != weight.width)
+            || self.form.replace(form) != Some(form)
+        {
             return Err(garbled(&raw));
         }
         self.width = Some(weight.width);
         let (t_s, mass_mg) = (self.clock.now_s(), weight.number.mg(unit));
         let one = Shown { t_s, mass_mg, flag: weight.stable };
         let stands = self.window.hear(one, self.step_mg().max(self.noise_mg));
-        let stable = if self.settings.stable_by == StableBy::Window { stands } else { weight.stable };
+        let stable =
+            if self.settings.stable_by == StableBy::Window { stands } else { weight.stable };
         Ok(Seen::Mass(Sample { t_s, mass_mg, stable, raw: shown(&raw) }))
     }
 
@@ -404,7 +424,8 @@ impl Balance {
     /// The unit in which the number's last place is the display step, where no frame ever carries
     /// one.
     fn unit_by_step(&self, weight: &Weight) -> Option<Unit> {
-        let step_mg = self.settings.readability_mg.filter(|_| self.settings.stable_by == StableBy::Window)?;
+        let step_mg =
+            self.settings.readability_mg.filter(|_| self.settings.stable_by == StableBy::Window)?;
         let steps = |unit: &Unit| weight.number.is_in_steps_of(step_mg, *unit) != Fit::OtherPlace;
         [Unit::Milligram, Unit::Gram, Unit::Kilogram].into_iter().find(steps)
     }
@@ -452,9 +473,10 @@ fn obeyed(answer: Result<(Reply, Vec<u8>), DeviceError>, verb: &str) -> Result<(
         Ok((Reply { said: Said::Condition(Condition::NotReady), .. }, _)) => {
             Err(faulted(format!("it refused to {verb}: not stable, or busy")))
         }
-        Ok((Reply { said: Said::Condition(Condition::Overload | Condition::Underload), .. }, _)) => {
-            Err(faulted(format!("it refused to {verb}: too much or too little on the pan")))
-        }
+        Ok((
+            Reply { said: Said::Condition(Condition::Overload | Condition::Underload), .. },
+            _,
+        )) => Err(faulted(format!("it refused to {verb}: too much or too little on the pan"))),
         Ok((Reply { said: Said::Condition(Condition::Unknown), .. }, _)) => {
             Err(faulted(format!("it does not know how to {verb} by command, or must not")))
         }
@@ -471,7 +493,10 @@ fn in_steps_of(step_mg: f64, weight: &Weight, unit: Unit, raw: &[u8]) -> Result<
         Fit::OtherPlace => "the last place should be",
         Fit::Between => "it should step by",
     };
-    Err(DeviceError::Garbled { device: DEVICE, got: format!("{} ({why} {step_mg} mg)", shown(raw)) })
+    Err(DeviceError::Garbled {
+        device: DEVICE,
+        got: format!("{} ({why} {step_mg} mg)", shown(raw)),
+    })
 }
 
 fn faulted(cause: String) -> DeviceError {

@@ -74,7 +74,9 @@ fn said(command: &str, rest: &str) -> Result<Said, Unreadable> {
         ("-", true) => Ok(Said::Condition(Condition::Underload)),
         ("A" | "B", true) => Ok(Said::Done),
         ("S" | "D", true) if command == "ZI" => Ok(Said::Done),
-        ("S", false) if rest.starts_with("Error") => Ok(Said::Condition(Condition::Fault(rest.trim().to_owned()))),
+        ("S", false) if rest.starts_with("Error") => {
+            Ok(Said::Condition(Condition::Fault(rest.trim().to_owned())))
+        }
         ("A" | "B", false) if rest.contains('"') => Ok(Said::Text(unquoted(rest))),
         ("A" | "S" | "D", false) => mass(command, status != "D", rest).or_else(|_| foreign(rest)),
         (_, true) if is_standby(status) => Ok(Said::Condition(Condition::Standby)),
@@ -96,5 +98,11 @@ fn mass(command: &str, stable: bool, rest: &str) -> Result<Said, Unreadable> {
 
 /// The quoted parts of a reply, separated by a space.
 fn unquoted(rest: &str) -> String {
-    rest.split('"').skip(1).step_by(2).map(str::trim).filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ")
+    rest.split('"')
+        .skip(1)
+        .step_by(2)
+        .map(str::trim)
+        .filter(|part| !part.is_empty())
+        .collect::<Vec<_>>()
+        .join(" ")
 }

@@ -71,9 +71,9 @@ pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
 /// Where the number's columns begin after a header word, and whether the header means stable.
 /// Zero-padded, it is an A&D frame.
 fn header(text: &str) -> Option<(usize, bool)> {
-    let (word, stable) = HEADERS
-        .into_iter()
-        .find(|(word, _)| text.strip_prefix(word).is_some_and(|rest| rest.starts_with([',', ' '])))?;
+    let (word, stable) = HEADERS.into_iter().find(|(word, _)| {
+        text.strip_prefix(word).is_some_and(|rest| rest.starts_with([',', ' ']))
+    })?;
     let at = word.len() + 1;
     let number = text[at..].trim_start();
     let digits = number.trim_start_matches('-');

@@ -33,7 +33,8 @@ const ORDER: [Dialect; 4] = [Dialect::MtSics, Dialect::Ohaus, Dialect::Aandd, Di
 /// Baud rates of balances, likeliest first.
 const SPEEDS: [u32; 8] = [9600, 19_200, 2400, 4800, 1200, 38_400, 57_600, 115_200];
 /// Data bits and parities of balances, likeliest first.
-const FRAMINGS: [(u8, Parity); 4] = [(8, Parity::None), (7, Parity::Even), (8, Parity::Odd), (7, Parity::Odd)];
+const FRAMINGS: [(u8, Parity); 4] =
+    [(8, Parity::None), (7, Parity::Even), (8, Parity::Odd), (7, Parity::Odd)];
 
 /// Result of a probe.
 #[derive(Debug, Clone, Serialize)]
@@ -53,7 +54,9 @@ pub struct Probe {
 /// Usual port settings of balances, likeliest first: factory settings, then every usual baud rate
 /// and framing.
 pub fn usual_settings() -> Vec<Serial> {
-    let others = SPEEDS.iter().flat_map(|&baud| FRAMINGS.map(|(data_bits, parity)| Serial { baud, data_bits, parity }));
+    let others = SPEEDS
+        .iter()
+        .flat_map(|&baud| FRAMINGS.map(|(data_bits, parity)| Serial { baud, data_bits, parity }));
     let mut usual = Vec::new();
     for serial in Dialect::ALL.map(Dialect::factory_serial).into_iter().chain(others) {
         if !usual.contains(&serial) {
@@ -76,11 +79,22 @@ pub struct Attempt {
 
 /// Try each of these settings in each dialect until the balance answers; a TCP address is tried
 /// once, whatever the settings. `progress` is called before each setting.
-pub fn probe(port: &str, settings: &[Serial], tap: Tap, mut progress: impl FnMut(Attempt)) -> Probe {
+pub fn probe(
+    port: &str,
+    settings: &[Serial],
+    tap: Tap,
+    mut progress: impl FnMut(Attempt),
+) -> Probe {
     let (tap, transcript) = recording(tap);
     let is_tcp = port.starts_with("tcp://");
     let settings = if is_tcp { &settings[..settings.len().min(1)] } else { settings };
-    let mut found = Probe { dialect: None, identity: None, serial: None, transcript: Vec::new(), notes: Vec::new() };
+    let mut found = Probe {
+        dialect: None,
+        identity: None,
+        serial: None,
+        transcript: Vec::new(),
+        notes: Vec::new(),
+    };
     let (mut tried, mut refused) = (Vec::new(), Vec::new());
     let until = Instant::now() + PROBE;
     for (k, serial) in settings.iter().enumerate() {
@@ -97,7 +111,8 @@ pub fn probe(port: &str, settings: &[Serial], tap: Tap, mut progress: impl FnMut
             Err(error) => refused.push((*serial, error)),
         }
     }
-    found.transcript = std::mem::take(&mut *transcript.lock().unwrap_or_else(PoisonError::into_inner));
+    found.transcript =
+        std::mem::take(&mut *transcript.lock().unwrap_or_else(PoisonError::into_inner));
     found.notes.extend(refusals(&refused));
     found.notes.push(summary(&found, is_tcp, &tried, settings.len() - refused.len()));
     found
@@ -156,7 +171,11 @@ fn probe_at(port: &str, serial: &Serial, tap: &Tap, found: &mut Probe) -> Result
 }
 
 /// The text reply to the first of these queries that gets one.
-fn first_words(line: &mut Line, dialect: Dialect, commands: &[Command]) -> Result<Option<String>, DeviceError> {
+fn first_words(
+    line: &mut Line,
+    dialect: Dialect,
+    commands: &[Command],
+) -> Result<Option<String>, DeviceError> {
     for command in commands {
         let text = words(line, dialect, *command)?;
         if text.is_some() {
@@ -167,7 +186,11 @@ fn first_words(line: &mut Line, dialect: Dialect, commands: &[Command]) -> Resul
 }
 
 /// The text reply to a query in this dialect.
-fn words(line: &mut Line, dialect: Dialect, command: Command) -> Result<Option<String>, DeviceError> {
+fn words(
+    line: &mut Line,
+    dialect: Dialect,
+    command: Command,
+) -> Result<Option<String>, DeviceError> {
     let mut text = None;
     hear(line, dialect, command, &mut { ANSWER }, |said| {
         if let Said::Text(words) = said {
@@ -180,12 +203,19 @@ fn words(line: &mut Line, dialect: Dialect, command: Command) -> Result<Option<S
 
 /// Whether the reply is a reading in this dialect, or a reason for having none that no other
 /// dialect words this way.
-fn weighs(line: &mut Line, dialect: Dialect, command: Command, wait: &mut Duration) -> Result<bool, DeviceError> {
+fn weighs(
+    line: &mut Line,
+    dialect: Dialect,
+    command: Command,
+    wait: &mut Duration,
+) -> Result<bool, DeviceError> {
     let mut weighs = false;
     hear(line, dialect, command, wait, |said| {
         weighs = match said {
             Said::Weight(_) => true,
-            Said::Condition(condition) => !matches!(condition, Condition::Unknown | Condition::Standby),
+            Said::Condition(condition) => {
+                !matches!(condition, Condition::Unknown | Condition::Standby)
+            }
             Said::Done | Said::Text(_) => false,
         };
         weighs
@@ -217,7 +247,8 @@ fn hear(
         *wait = ANSWER;
         let Ok(reply) = dialect.parse(&raw) else { continue };
         // A refusal names no command.
-        let for_another = command.answer.is_some() && reply.to.is_some() && reply.to.as_deref() != command.answer;
+        let for_another =
+            command.answer.is_some() && reply.to.is_some() && reply.to.as_deref() != command.answer;
         if !for_another && suits(reply.said) {
             return Ok(());
         }
@@ -229,10 +260,15 @@ fn summary(found: &Probe, is_tcp: bool, tried: &[Serial], settings: usize) -> St
     if let Some(dialect) = found.dialect {
         return format!("{} answers; FLIP's part of it: {}", dialect.name(), dialect.verified());
     }
-    let sent: Vec<&str> = texts(found, Direction::Sent).map(|text| text.trim_end_matches("\\r\\n")).collect();
+    let sent: Vec<&str> =
+        texts(found, Direction::Sent).map(|text| text.trim_end_matches("\\r\\n")).collect();
     let with = if is_tcp { String::new() } else { format!(" with {}", listed(tried)) };
     let left = settings - tried.len();
-    let left = if left > 0 { format!("; {left} more were not tried, for want of time") } else { String::new() };
+    let left = if left > 0 {
+        format!("; {left} more were not tried, for want of time")
+    } else {
+        String::new()
+    };
     let other = if is_tcp {
         "the port number, and how the converter's own port is set"
     } else {
@@ -251,7 +287,9 @@ fn summary(found: &Probe, is_tcp: bool, tried: &[Serial], settings: usize) -> St
             "nothing but our own questions came back{with}{left}: is the cable plugged into the balance, and is it on? Check {other}"
         );
     }
-    format!("something came{with}{left}, but no reading in a dialect that FLIP knows: see the transcript")
+    format!(
+        "something came{with}{left}, but no reading in a dialect that FLIP knows: see the transcript"
+    )
 }
 
 fn texts(found: &Probe, direction: Direction) -> impl Iterator<Item = &str> {
@@ -277,7 +315,9 @@ fn listed(settings: &[Serial]) -> String {
             None => parts.push((speeds, vec![named])),
         }
     }
-    let part = |(speeds, framings): &(String, Vec<String>)| format!("{speeds} bits/s {}", framings.join(", "));
+    let part = |(speeds, framings): &(String, Vec<String>)| {
+        format!("{speeds} bits/s {}", framings.join(", "))
+    };
     parts.iter().map(part).collect::<Vec<_>>().join("; ")
 }
 
@@ -303,8 +343,11 @@ mod tests {
         assert_eq!(usual.len(), SPEEDS.len() * FRAMINGS.len());
         let every = "1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200 bits/s 8N1, 8O1, 7E1, 7O1";
         assert_eq!(listed(&usual), every);
-        let few =
-            [usual[0], Serial { baud: 1200, ..usual[0] }, Serial { baud: 2400, data_bits: 7, parity: Parity::Even }];
+        let few = [
+            usual[0],
+            Serial { baud: 1200, ..usual[0] },
+            Serial { baud: 2400, data_bits: 7, parity: Parity::Even },
+        ];
         assert_eq!(listed(&few), "1200, 9600 bits/s 8N1; 2400 bits/s 7E1");
     }
 }

@@ -79,7 +79,12 @@ impl Reply {
 }
 
 /// A mass in this unit, or a refusal of a unit that FLIP does not know.
-pub(super) fn weight(number: Decimal, unit: &[u8], stable: bool, width: usize) -> Result<Said, Unreadable> {
+pub(super) fn weight(
+    number: Decimal,
+    unit: &[u8],
+    stable: bool,
+    width: usize,
+) -> Result<Said, Unreadable> {
     if let Some(unit) = Unit::named(unit) {
         return Ok(Said::Weight(Weight { number, unit: Some(unit), stable, width }));
     }
@@ -104,7 +109,9 @@ pub(super) fn foreign(frame: &str) -> Result<Said, Unreadable> {
 /// At most five letters, or a symbol or compound: `%`, `lb:oz`.
 fn is_unit(name: &[u8]) -> bool {
     let starts = name.first().is_some_and(|byte| byte.is_ascii_alphabetic() || *byte == b'%');
-    starts && name.len() <= 5 && name.iter().all(|byte| byte.is_ascii_alphabetic() || b"%/:".contains(byte))
+    starts
+        && name.len() <= 5
+        && name.iter().all(|byte| byte.is_ascii_alphabetic() || b"%/:".contains(byte))
 }
 
 /// Whether this is one of the ways in which a balance reports that its display is off, if it

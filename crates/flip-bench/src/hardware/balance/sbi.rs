@@ -18,7 +18,9 @@
 //! Source: frames as in the weighing notes (interface descriptions of Entris II, Quintix, GC),
 //! tested against an independent simulator.
 
-use super::reply::{Condition, Reply, Said, Unreadable, Weight, foreign, is_standby, printable, weight};
+use super::reply::{
+    Condition, Reply, Said, Unreadable, Weight, foreign, is_standby, printable, weight,
+};
 use super::value::Decimal;
 use super::{Command, Commands, Wants};
 
@@ -52,7 +54,9 @@ pub(super) const COMMANDS: Commands = Commands {
 pub fn parse(line: &[u8]) -> Result<Reply, Unreadable> {
     let text = printable(line)?;
     let frame = Frame::of(text);
-    if let Some(condition) = frame.as_ref().map_or_else(|| condition(text.trim()), |it| condition(it.body.trim())) {
+    if let Some(condition) =
+        frame.as_ref().map_or_else(|| condition(text.trim()), |it| condition(it.body.trim()))
+    {
         return Ok(Reply::condition(condition));
     }
     let said = frame.filter(|it| ["", "N"].contains(&it.name.trim_end())).and_then(|it| it.mass());
@@ -82,13 +86,18 @@ impl<'a> Frame<'a> {
             long if long <= bytes + NAME_BYTES => text.split_at(NAME_BYTES),
             _ => return None,
         };
-        Some(Self { name, body: format!("{body:<FRAME_BYTES$}"), trimmed: body.len() < FRAME_BYTES })
+        Some(Self {
+            name,
+            body: format!("{body:<FRAME_BYTES$}"),
+            trimmed: body.len() < FRAME_BYTES,
+        })
     }
 
     /// The mass; `None` if sign and number are not in their columns.
     fn mass(&self) -> Option<Result<Said, Unreadable>> {
         let end = match self.body.find(']') {
-            Some(at) => Some(at + 1).filter(|end| (NUMBER_BYTES..=NUMBER_BYTES + BRACKET_BYTES).contains(end))?,
+            Some(at) => Some(at + 1)
+                .filter(|end| (NUMBER_BYTES..=NUMBER_BYTES + BRACKET_BYTES).contains(end))?,
             None => NUMBER_BYTES,
         };
         let (number, unit) = self.body.split_at_checked(end)?;

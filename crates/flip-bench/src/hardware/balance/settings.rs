@@ -37,9 +37,13 @@ impl Dialect {
     /// How far FLIP's implementation of the dialect has been verified.
     pub fn verified(self) -> &'static str {
         match self {
-            Self::MtSics | Self::Sbi => "tested against an independent simulator, not verified on a device",
+            Self::MtSics | Self::Sbi => {
+                "tested against an independent simulator, not verified on a device"
+            }
             Self::Ohaus => "from manuals, not verified on a device",
-            Self::Aandd => "from memory, not verified on a device: compare the transcript with the manual",
+            Self::Aandd => {
+                "from memory, not verified on a device: compare the transcript with the manual"
+            }
         }
     }
 
@@ -81,7 +85,10 @@ impl std::str::FromStr for Dialect {
     fn from_str(name: &str) -> Result<Self, FieldError> {
         Self::ALL.into_iter().find(|dialect| dialect.name() == name).ok_or_else(|| {
             let names = Self::ALL.map(Self::name).join(", ");
-            FieldError::new("dialect", format!("must be one of {names}, got {name}; `flip bench probe` finds it"))
+            FieldError::new(
+                "dialect",
+                format!("must be one of {names}, got {name}; `flip bench probe` finds it"),
+            )
         })
     }
 }
@@ -141,7 +148,15 @@ impl Settings {
     pub fn new(dialect: Dialect, port: impl Into<String>) -> Self {
         let (timeout_s, stable_timeout_s) = (two(), twenty());
         let stable_by = StableBy::default();
-        Self { dialect, port: port.into(), serial: None, readability_mg: None, timeout_s, stable_timeout_s, stable_by }
+        Self {
+            dialect,
+            port: port.into(),
+            serial: None,
+            readability_mg: None,
+            timeout_s,
+            stable_timeout_s,
+            stable_by,
+        }
     }
 
     /// Returns the settings if they are valid.
@@ -150,7 +165,10 @@ impl Settings {
     /// The first field that is out of bounds.
     pub fn checked(self) -> Result<Self, FieldError> {
         if self.port.trim().is_empty() {
-            return Err(FieldError::new("port", "must be a path, as /dev/ttyUSB0, or tcp://host:port"));
+            return Err(FieldError::new(
+                "port",
+                "must be a path, as /dev/ttyUSB0, or tcp://host:port",
+            ));
         }
         if let Some(serial) = self.serial {
             serial.checked()?;
@@ -158,7 +176,9 @@ impl Settings {
         if let Some(readability) = self.readability_mg {
             bounded("readability_mg", readability, 0.0001, 10_000.0, "mg")?;
             if !is_step(readability) {
-                let message = format!("must be 1, 2 or 5 in some decimal place, as 0.1, 0.5 or 2, got {readability}");
+                let message = format!(
+                    "must be 1, 2 or 5 in some decimal place, as 0.1, 0.5 or 2, got {readability}"
+                );
                 return Err(FieldError::new("readability_mg", message));
             }
         }

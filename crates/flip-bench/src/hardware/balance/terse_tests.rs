@@ -25,7 +25,11 @@ impl<F: FnMut(&str) -> Option<String> + Send + 'static> Talker for Terse<F> {
 }
 
 fn driver(port: &Port, dialect: Dialect, change: impl FnOnce(&mut Settings)) -> Balance {
-    let mut settings = Settings { timeout_s: 0.25, stable_timeout_s: 8.0, ..Settings::new(dialect, port.address()) };
+    let mut settings = Settings {
+        timeout_s: 0.25,
+        stable_timeout_s: 8.0,
+        ..Settings::new(dialect, port.address())
+    };
     change(&mut settings);
     Balance::open(&settings, Tap::none(), Clock::fast(4.0)).unwrap()
 }
@@ -73,14 +77,19 @@ fn a_balance_that_refuses_or_ignores_every_optional_command_weighs_and_tares() {
         let before = balance.immediate().map(|sample| sample.mass_mg);
         assert_eq!(before, Ok(15_000.0), "{dialect:?} {other:?}");
         let told = balance.identify();
-        assert!(told.as_ref().map_or(other.is_none(), |it| it.is_unknown()), "{dialect:?} {other:?}: {told:?}");
+        assert!(
+            told.as_ref().map_or(other.is_none(), |it| it.is_unknown()),
+            "{dialect:?} {other:?}: {told:?}"
+        );
         assert_eq!(balance.tare().map(|sample| sample.mass_mg), Ok(0.0), "{dialect:?} {other:?}");
     }
 }
 
 #[test]
 fn a_probe_finds_a_balance_with_the_least_of_its_dialect() {
-    for (dialect, other) in [(MtSics, Some("ES")), (Ohaus, None), (Sbi, None), (Aandd, Some("EC,E01"))] {
+    for (dialect, other) in
+        [(MtSics, Some("ES")), (Ohaus, None), (Sbi, None), (Aandd, Some("EC,E01"))]
+    {
         let port = least(dialect, other);
         let found = probe::probe(port.address(), &[Serial::default()], Tap::none(), |_| {});
         assert_eq!(found.dialect, Some(dialect), "{found:?}");
@@ -115,7 +124,10 @@ fn unflagged(at_once: bool) -> Port {
 fn a_balance_that_never_flags_stable_says_what_to_set() {
     let port = unflagged(true);
     let refused = driver(&port, MtSics, |_| {}).tare().unwrap_err().to_string();
-    assert!(refused.contains("never flags") && refused.contains("stable_by = \"window\""), "{refused}");
+    assert!(
+        refused.contains("never flags") && refused.contains("stable_by = \"window\""),
+        "{refused}"
+    );
 }
 
 #[test]
@@ -136,7 +148,9 @@ fn a_balance_that_leaves_out_the_unit_for_ever_is_read_by_its_step_or_says_what_
             tare = 84_000;
         }
         let shown = 84_000 - tare;
-        (command == "\u{1b}P").then(|| format!("N     +{:>9}    ", format!("{}.{:04}", shown / 10_000, shown % 10_000)))
+        (command == "\u{1b}P").then(|| {
+            format!("N     +{:>9}    ", format!("{}.{:04}", shown / 10_000, shown % 10_000))
+        })
     }))
     .unwrap();
     let refused = driver(&port, Sbi, |_| {}).tare().unwrap_err().to_string();
@@ -195,7 +209,10 @@ fn noted(answer: impl FnMut(&str) -> Option<String> + Send + 'static) -> (String
 #[test]
 fn a_probe_that_hears_nothing_names_what_was_tried_and_an_echo_or_a_sleeper_is_told_as_such() {
     let (silent, found) = noted(|_| None);
-    assert!(silent.contains("9600 bits/s 8N1") && silent.contains("--baud") && found.dialect.is_none(), "{silent}");
+    assert!(
+        silent.contains("9600 bits/s 8N1") && silent.contains("--baud") && found.dialect.is_none(),
+        "{silent}"
+    );
     let (echo, _) = noted(|command| Some(command.to_owned()));
     assert!(echo.contains("nothing but our own questions"), "{echo}");
     let (asleep, _) = noted(|_| Some("OFF".to_owned()));
@@ -204,7 +221,9 @@ fn a_probe_that_hears_nothing_names_what_was_tried_and_an_echo_or_a_sleeper_is_t
 
 #[test]
 fn a_port_that_cannot_be_opened_is_told_with_its_own_advice() {
-    let note = |port: &str| probe::probe(port, &probe::usual_settings(), Tap::none(), |_| {}).notes.join("\n");
+    let note = |port: &str| {
+        probe::probe(port, &probe::usual_settings(), Tap::none(), |_| {}).notes.join("\n")
+    };
     let nowhere = note("/dev/no-such-port");
     assert!(nowhere.contains("no such port") && !nowhere.contains("cable,"), "{nowhere}");
     // Bound and dropped: nothing listens there.
@@ -226,7 +245,8 @@ fn a_balance_that_hears_one_usual_speed_alone_is_found_at_it() {
     .unwrap();
     path.set(port.address().to_owned()).unwrap();
     let mut attempts = 0;
-    let found = probe::probe(port.address(), &probe::usual_settings(), Tap::none(), |_| attempts += 1);
+    let found =
+        probe::probe(port.address(), &probe::usual_settings(), Tap::none(), |_| attempts += 1);
     assert_eq!(found.serial.map(|serial| serial.baud), Some(38_400), "{:?}", found.notes);
     assert!(found.dialect == Some(Ohaus) && attempts > 1);
 }
@@ -239,10 +259,15 @@ fn a_balance_in_standby_and_one_in_another_unit_are_told_as_such() {
         ("S D 08:03.20 lb:oz", "it shows lb:oz: set its unit to g or mg"),
         ("S S      129.6 GN", "it shows GN"),
     ] {
-        let port = Port::pty(Terse(move |command: &str| Some(if command == "I4" { "ES" } else { answer }.to_owned())));
+        let port = Port::pty(Terse(move |command: &str| {
+            Some(if command == "I4" { "ES" } else { answer }.to_owned())
+        }));
         let port = port.unwrap();
         let refused = driver(&port, MtSics, |_| {}).immediate().unwrap_err();
-        assert!(matches!(refused, DeviceError::Faulted { .. }) && refused.to_string().contains(words), "{refused}");
+        assert!(
+            matches!(refused, DeviceError::Faulted { .. }) && refused.to_string().contains(words),
+            "{refused}"
+        );
     }
 }
 
@@ -250,13 +275,17 @@ fn a_balance_in_standby_and_one_in_another_unit_are_told_as_such() {
 fn a_display_that_steps_by_five_is_read_and_a_number_between_its_steps_is_damaged() {
     let shows = |number: &'static str, step_mg: f64| {
         let line = format!("S S {number:>10} g");
-        let port =
-            Port::pty(Terse(move |command: &str| Some(if command == "I4" { "ES".into() } else { line.clone() })));
-        driver(&port.unwrap(), MtSics, |settings| settings.readability_mg = Some(step_mg)).immediate()
+        let port = Port::pty(Terse(move |command: &str| {
+            Some(if command == "I4" { "ES".into() } else { line.clone() })
+        }));
+        driver(&port.unwrap(), MtSics, |settings| settings.readability_mg = Some(step_mg))
+            .immediate()
     };
     assert_eq!(shows("8.4005", 0.5).map(|sample| sample.mass_mg), Ok(8400.5));
     assert_eq!(shows("8.4004", 0.2).map(|sample| sample.mass_mg), Ok(8400.4));
-    for (number, step_mg, words) in [("8.4003", 0.5, "step by 0.5 mg"), ("8.400", 0.5, "last place should be 0.5 mg")] {
+    for (number, step_mg, words) in
+        [("8.4003", 0.5, "step by 0.5 mg"), ("8.400", 0.5, "last place should be 0.5 mg")]
+    {
         let refused = shows(number, step_mg).unwrap_err().to_string();
         assert!(refused.contains(words), "{refused}");
     }

@@ -13,7 +13,9 @@ use std::sync::{Arc, Mutex};
 
 fn mass(dialect: Dialect, line: &str) -> (f64, bool) {
     match dialect.parse(line.as_bytes()).map(|reply| reply.said) {
-        Ok(Said::Weight(weight)) => (weight.number.mg(weight.unit.unwrap_or(Unit::Gram)), weight.stable),
+        Ok(Said::Weight(weight)) => {
+            (weight.number.mg(weight.unit.unwrap_or(Unit::Gram)), weight.stable)
+        }
         other => panic!("{line:?} is no mass but {other:?}"),
     }
 }
@@ -126,7 +128,11 @@ fn words_and_acknowledgements_are_told_from_readings() {
         (Aandd, "\x06", None, Said::Done),
         (Aandd, "TN,FX-300i", None, text("FX-300i")),
     ] {
-        assert_eq!(dialect.parse(line.as_bytes()), Ok(Reply { to: to.map(str::to_owned), said }), "{line}");
+        assert_eq!(
+            dialect.parse(line.as_bytes()),
+            Ok(Reply { to: to.map(str::to_owned), said }),
+            "{line}"
+        );
     }
 }
 
@@ -178,7 +184,13 @@ fn no_bytes_make_a_parser_panic_and_no_frame_that_lost_some_gives_another_number
     for _ in 0..40_000 {
         let length = draw(24);
         let line: Vec<u8> = (0..length)
-            .map(|_| if draw(8) == 0 { draw(256) as u8 } else { alphabet[draw(alphabet.len() as u64) as usize] })
+            .map(|_| {
+                if draw(8) == 0 {
+                    draw(256) as u8
+                } else {
+                    alphabet[draw(alphabet.len() as u64) as usize]
+                }
+            })
             .collect();
         for dialect in Dialect::ALL {
             let _ = dialect.parse(&line);
@@ -190,14 +202,22 @@ fn no_bytes_make_a_parser_panic_and_no_frame_that_lost_some_gives_another_number
             let mut line = frame.as_bytes().to_vec();
             line.remove(place);
             if let Ok(Reply { said: Said::Weight(weight), .. }) = dialect.parse(&line) {
-                assert_eq!(weight.number.mg(weight.unit.unwrap_or(Unit::Gram)), whole, "without byte {place}");
+                assert_eq!(
+                    weight.number.mg(weight.unit.unwrap_or(Unit::Gram)),
+                    whole,
+                    "without byte {place}"
+                );
             }
         }
     }
-    for (dialect, frame) in [(MtSics, "S S   100.0003 g"), (Sbi, "N     +  52.1873 g  "), (Aandd, "ST,+00123.456  g")] {
+    for (dialect, frame) in
+        [(MtSics, "S S   100.0003 g"), (Sbi, "N     +  52.1873 g  "), (Aandd, "ST,+00123.456  g")]
+    {
         let whole = mass(dialect, frame).0;
         for end in 0..frame.len() {
-            if let Ok(Reply { said: Said::Weight(weight), .. }) = dialect.parse(&frame.as_bytes()[..end]) {
+            if let Ok(Reply { said: Said::Weight(weight), .. }) =
+                dialect.parse(&frame.as_bytes()[..end])
+            {
                 // Trailing spaces carry no information.
                 let read = weight.number.mg(weight.unit.unwrap_or(Unit::Gram));
                 assert!(
@@ -228,7 +248,11 @@ impl Talker for Scripted {
 }
 
 /// What the driver makes of these replies: up to `count` readings, mg, or the first error.
-fn readings(dialect: Dialect, lines: &[&'static str], count: usize) -> Result<Vec<f64>, DeviceError> {
+fn readings(
+    dialect: Dialect,
+    lines: &[&'static str],
+    count: usize,
+) -> Result<Vec<f64>, DeviceError> {
     let port = Port::pty(Scripted(lines.iter().copied().collect())).unwrap();
     let settings = Settings { timeout_s: 0.4, ..Settings::new(dialect, port.address()) };
     let mut balance = Balance::open(&settings, Tap::none(), Clock::standing()).unwrap();
@@ -259,7 +283,8 @@ fn another_unit_is_believed_when_it_comes_twice_and_never_once() {
 
 #[test]
 fn a_moving_mass_without_a_unit_has_that_of_the_last_frame_or_none() {
-    let (still, moving, other) = ("N     +    0.015 g  ", "N     +    0.012    ", "N     +   0.0120    ");
+    let (still, moving, other) =
+        ("N     +    0.015 g  ", "N     +    0.012    ", "N     +   0.0120    ");
     assert_eq!(readings(Sbi, &[still, still, moving], 2), Ok(vec![15.0, 12.0]));
     for unknown in [&[moving][..], &[still, still, other]] {
         let refused = readings(Sbi, unknown, 2).unwrap_err();
@@ -279,7 +304,9 @@ impl Switched {
     fn new() -> (Self, Port, Balance) {
         let device = Self { serial: Arc::new(Mutex::new("1")), tells: Arc::default() };
         let port = Port::pty(device.clone()).unwrap();
-        let balance = Balance::open(&Settings::new(MtSics, port.address()), Tap::none(), Clock::standing()).unwrap();
+        let balance =
+            Balance::open(&Settings::new(MtSics, port.address()), Tap::none(), Clock::standing())
+                .unwrap();
         (device, port, balance)
     }
 }
@@ -309,7 +336,10 @@ fn a_balance_that_was_switched_on_anew_after_the_tare_gives_no_number_until_it_i
         *device.tells.lock().unwrap() = Some(before);
         assert_eq!(balance.immediate().map(|it| it.mass_mg), Ok(0.0), "nothing is tared yet");
         balance.tare().unwrap();
-        assert_eq!((balance.is_the_same(), balance.immediate().map(|it| it.mass_mg)), (Ok(()), Ok(0.0)));
+        assert_eq!(
+            (balance.is_the_same(), balance.immediate().map(|it| it.mass_mg)),
+            (Ok(()), Ok(0.0))
+        );
         *device.tells.lock().unwrap() = Some(before);
         // What it sends after a reply may be received with that reply or before the next request.
         let told = balance.immediate().and_then(|_| balance.immediate()).unwrap_err();
@@ -331,15 +361,22 @@ fn another_balance_than_the_one_that_was_tared_is_told_by_its_serial_number() {
 
 #[test]
 fn settings_have_the_factorys_port_and_are_checked_by_field() {
-    let settings: Settings = serde_json::from_str(r#"{"dialect": "aandd", "port": "/dev/ttyUSB0"}"#).unwrap();
+    let settings: Settings =
+        serde_json::from_str(r#"{"dialect": "aandd", "port": "/dev/ttyUSB0"}"#).unwrap();
     assert_eq!(settings, Settings::new(Aandd, "/dev/ttyUSB0"));
     assert_eq!(Aandd.factory_serial(), Serial { baud: 2400, data_bits: 7, parity: Parity::Even });
-    assert!(serde_json::from_str::<Settings>(r#"{"dialect": "ohaus", "port": "p", "speed": 1}"#).is_err());
+    assert!(
+        serde_json::from_str::<Settings>(r#"{"dialect": "ohaus", "port": "p", "speed": 1}"#)
+            .is_err()
+    );
     assert_eq!("sbi".parse(), Ok(Sbi));
     assert_eq!("kern".parse::<Dialect>().unwrap_err().field, "dialect");
 
-    let good =
-        Settings { readability_mg: Some(0.1), stable_by: StableBy::Command, ..Settings::new(MtSics, "tcp://h:1") };
+    let good = Settings {
+        readability_mg: Some(0.1),
+        stable_by: StableBy::Command,
+        ..Settings::new(MtSics, "tcp://h:1")
+    };
     assert_eq!(good.clone().checked(), Ok(good.clone()));
     for (field, change) in [
         ("port", (|s| s.port = " ".to_owned()) as fn(&mut Settings)),

@@ -167,7 +167,11 @@ mod tests {
             ("-12,00[5]", Gram, -12_005.0),
             ("220.0000", Gram, 220_000.0),
         ] {
-            assert_eq!(Decimal::parse(text.as_bytes()).map(|number| number.mg(unit)), Some(mg), "{text}");
+            assert_eq!(
+                Decimal::parse(text.as_bytes()).map(|number| number.mg(unit)),
+                Some(mg),
+                "{text}"
+            );
         }
     }
 
@@ -188,16 +192,21 @@ mod tests {
 
     #[test]
     fn the_last_place_is_that_of_the_text_in_its_unit() {
-        for (text, unit, mg) in
-            [("0.000", Gram, 1.0), ("0.0000", Gram, 0.1), ("0.1", Milligram, 0.1), ("0.000001", Kilogram, 1.0)]
-        {
+        for (text, unit, mg) in [
+            ("0.000", Gram, 1.0),
+            ("0.0000", Gram, 0.1),
+            ("0.1", Milligram, 0.1),
+            ("0.000001", Kilogram, 1.0),
+        ] {
             assert_eq!(Decimal::parse(text.as_bytes()).unwrap().last_place_mg(unit), mg, "{text}");
         }
     }
 
     #[test]
     fn steps_of_one_two_and_five_in_the_last_place_are_known() {
-        let fit = |text: &str, step_mg: f64| Decimal::parse(text.as_bytes()).unwrap().is_in_steps_of(step_mg, Gram);
+        let fit = |text: &str, step_mg: f64| {
+            Decimal::parse(text.as_bytes()).unwrap().is_in_steps_of(step_mg, Gram)
+        };
         for text in ["12.0000", "12.0005", "-12.0010", "0.0000"] {
             assert_eq!((fit(text, 0.5), fit(text, 0.1)), (Fit::Fits, Fit::Fits), "{text}");
         }

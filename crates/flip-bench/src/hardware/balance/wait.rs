@@ -14,7 +14,11 @@ pub(super) struct Patience {
 impl Patience {
     pub(super) fn new(clock: &Clock, limit_s: f64) -> Self {
         let limit = Duration::try_from_secs_f64(limit_s).unwrap_or(Duration::ZERO);
-        Self { clock: clock.clone(), until_s: clock.now_s() + limit_s, until: Instant::now() + limit }
+        Self {
+            clock: clock.clone(),
+            until_s: clock.now_s() + limit_s,
+            until: Instant::now() + limit,
+        }
     }
 
     pub(super) fn is_spent(&self) -> bool {

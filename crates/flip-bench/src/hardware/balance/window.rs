@@ -22,11 +22,15 @@ impl Window {
     /// Add one reading; returns whether the display is stable, in steps of `step_mg` or the
     /// balance's noise where that is larger.
     pub(super) fn hear(&mut self, one: Shown, step_mg: f64) -> bool {
-        if self.shown.len() >= READINGS_MAX || self.shown.last().is_some_and(|last| one.t_s - last.t_s > GAP_S_MAX) {
+        if self.shown.len() >= READINGS_MAX
+            || self.shown.last().is_some_and(|last| one.t_s - last.t_s > GAP_S_MAX)
+        {
             self.forget();
         }
         self.shown.push(one);
-        let stands = settled(&Settling { lag_s: f64::NEG_INFINITY, ..Settling::new(step_mg) }, &self.shown).is_some();
+        let stands =
+            settled(&Settling { lag_s: f64::NEG_INFINITY, ..Settling::new(step_mg) }, &self.shown)
+                .is_some();
         self.flagged |= one.flag;
         self.stood |= stands;
         stands
@@ -54,8 +58,9 @@ mod tests {
     #[test]
     fn a_display_that_stands_is_known_without_a_flag_and_one_that_moves_is_not() {
         let mut window = Window::default();
-        let stood: Vec<bool> =
-            (0..6).map(|k| window.hear(shown(0.1 * f64::from(k), 5.0 + 0.1 * f64::from(k % 2)), 0.1)).collect();
+        let stood: Vec<bool> = (0..6)
+            .map(|k| window.hear(shown(0.1 * f64::from(k), 5.0 + 0.1 * f64::from(k % 2)), 0.1))
+            .collect();
         assert_eq!(stood, [false, false, false, false, true, true]);
         assert!(window.stands_unflagged());
         assert!(!window.hear(shown(0.6, 9.0), 0.1), "something fell");

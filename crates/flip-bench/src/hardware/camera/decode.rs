@@ -62,7 +62,8 @@ impl Upload {
             }
             false => raw_depth(&self.depth, &intrinsics)?,
         };
-        let colour = image("colour", &self.colour, &intrinsics, Kind::COLOUR)?.as_chunks().0.to_vec();
+        let colour =
+            image("colour", &self.colour, &intrinsics, Kind::COLOUR)?.as_chunks().0.to_vec();
         Ok(Frame { intrinsics, depth_unit_m, depth, colour, taken_at })
     }
 }
@@ -85,12 +86,20 @@ fn read_description(bytes: &[u8]) -> Result<(Intrinsics, f64, Timestamp), FieldE
             format!("must have at most {DESCRIPTION_BYTES_MAX} bytes, got {got}"),
         ));
     }
-    let said: Description = serde_json::from_slice(bytes)
-        .map_err(|error| FieldError::new("description", format!("must be the JSON of a frame: {error}")))?;
+    let said: Description = serde_json::from_slice(bytes).map_err(|error| {
+        FieldError::new("description", format!("must be the JSON of a frame: {error}"))
+    })?;
     let lens = said.intrinsics.ok_or_else(|| missing("intrinsics"))?;
-    let number = |field: &str, value: Option<f64>| value.ok_or_else(|| missing(&format!("intrinsics.{field}")));
-    let side = |field: &str, value: Option<u32>| value.ok_or_else(|| missing(&format!("intrinsics.{field}")));
-    let model = Distortion::named("intrinsics.model", &lens.model.ok_or_else(|| missing("intrinsics.model"))?)?;
+    let number = |field: &str, value: Option<f64>| {
+        value.ok_or_else(|| missing(&format!("intrinsics.{field}")))
+    };
+    let side = |field: &str, value: Option<u32>| {
+        value.ok_or_else(|| missing(&format!("intrinsics.{field}")))
+    };
+    let model = Distortion::named(
+        "intrinsics.model",
+        &lens.model.ok_or_else(|| missing("intrinsics.model"))?,
+    )?;
     let coefficients = lens.coefficients.ok_or_else(|| missing("intrinsics.coefficients"))?;
     let coefficients = coefficients.try_into().map_err(|got: Vec<f64>| {
         FieldError::new(
@@ -117,7 +126,9 @@ fn raw_depth(bytes: &[u8], intrinsics: &Intrinsics) -> Result<Vec<u16>, FieldErr
     let wanted = 2 * intrinsics.pixels();
     if bytes.len() != wanted {
         let (width, height, got) = (intrinsics.width, intrinsics.height, bytes.len());
-        let advice = format!("must be a PNG or {wanted} bytes ({width} x {height} values of Z16), got {got} bytes");
+        let advice = format!(
+            "must be a PNG or {wanted} bytes ({width} x {height} values of Z16), got {got} bytes"
+        );
         return Err(FieldError::new("depth", advice));
     }
     Ok(bytes.as_chunks().0.iter().map(|pair| u16::from_le_bytes(*pair)).collect())
@@ -133,17 +144,35 @@ struct Kind {
 }
 
 impl Kind {
-    const DEPTH: Self =
-        Self { colour: png::ColorType::Grayscale, bits: png::BitDepth::Sixteen, bytes: 2, words: "16 bit grey" };
-    const COLOUR: Self = Self { colour: png::ColorType::Rgb, bits: png::BitDepth::Eight, bytes: 3, words: "8 bit RGB" };
+    const DEPTH: Self = Self {
+        colour: png::ColorType::Grayscale,
+        bits: png::BitDepth::Sixteen,
+        bytes: 2,
+        words: "16 bit grey",
+    };
+    const COLOUR: Self = Self {
+        colour: png::ColorType::Rgb,
+        bits: png::BitDepth::Eight,
+        bytes: 3,
+        words: "8 bit RGB",
+    };
 }
 
-fn image(field: &str, bytes: &[u8], intrinsics: &Intrinsics, kind: Kind) -> Result<Vec<u8>, FieldError> {
-    let unreadable = |error: png::DecodingError| FieldError::new(field, format!("is not a readable PNG: {error}"));
+fn image(
+    field: &str,
+    bytes: &[u8],
+    intrinsics: &Intrinsics,
+    kind: Kind,
+) -> Result<Vec<u8>, FieldError> {
+    let unreadable = |error: png::DecodingError| {
+        FieldError::new(field, format!("is not a readable PNG: {error}"))
+    };
     let wanted = kind.bytes * intrinsics.pixels();
     // Room for one image of this size and the decoder's own rows; a small file cannot request more.
     let limits = png::Limits { bytes: 2 * wanted + (1 << 20) };
-    let mut reader = png::Decoder::new_with_limits(Cursor::new(bytes), limits).read_info().map_err(unreadable)?;
+    let mut reader = png::Decoder::new_with_limits(Cursor::new(bytes), limits)
+        .read_info()
+        .map_err(unreadable)?;
     let (width, height) = reader.info().size();
     if (width, height) != (intrinsics.width, intrinsics.height) {
         let advice = format!(
@@ -152,8 +181,13 @@ fn image(field: &str, bytes: &[u8], intrinsics: &Intrinsics, kind: Kind) -> Resu
         );
         return Err(FieldError::new(field, advice));
     }
-    if reader.output_color_type() != (kind.colour, kind.bits) || reader.output_buffer_size() != Some(wanted) {
-        return Err(FieldError::new(field, format!("must be a PNG of {}, without palette or alpha", kind.words)));
+    if reader.output_color_type() != (kind.colour, kind.bits)
+        || reader.output_buffer_size() != Some(wanted)
+    {
+        return Err(FieldError::new(
+            field,
+            format!("must be a PNG of {}, without palette or alpha", kind.words),
+        ));
     }
     let mut pixels = vec![0; wanted];
     reader.next_frame(&mut pixels).map_err(unreadable)?;

@@ -18,10 +18,22 @@ fn frame() -> Frame {
     };
     let depth = (0..WIDTH * HEIGHT).map(|k| (k * 7) as u16).collect();
     let colour = (0..WIDTH * HEIGHT).map(|k| [k as u8, 3, 200]).collect();
-    Frame { intrinsics, depth_unit_m: 0.0001, depth, colour, taken_at: Timestamp::from_unix_ms(1_795_248_000_250) }
+    Frame {
+        intrinsics,
+        depth_unit_m: 0.0001,
+        depth,
+        colour,
+        taken_at: Timestamp::from_unix_ms(1_795_248_000_250),
+    }
 }
 
-fn png(width: u32, height: u32, colour: png::ColorType, bits: png::BitDepth, pixels: &[u8]) -> Vec<u8> {
+fn png(
+    width: u32,
+    height: u32,
+    colour: png::ColorType,
+    bits: png::BitDepth,
+    pixels: &[u8],
+) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(colour);
@@ -35,7 +47,13 @@ fn upload() -> Upload {
     let depth: Vec<u8> = frame.depth.iter().flat_map(|d| d.to_be_bytes()).collect();
     Upload {
         depth: png(WIDTH, HEIGHT, png::ColorType::Grayscale, png::BitDepth::Sixteen, &depth),
-        colour: png(WIDTH, HEIGHT, png::ColorType::Rgb, png::BitDepth::Eight, frame.colour.as_flattened()),
+        colour: png(
+            WIDTH,
+            HEIGHT,
+            png::ColorType::Rgb,
+            png::BitDepth::Eight,
+            frame.colour.as_flattened(),
+        ),
         description: description(&frame),
     }
 }
@@ -72,7 +90,10 @@ fn what_a_frame_does_not_say_is_refused_by_field() {
 #[test]
 fn what_a_frame_says_wrongly_is_refused_by_field() {
     assert_eq!(refused(|said| said["intrinsics"]["model"] = json!("fisheye")), "intrinsics.model");
-    assert_eq!(refused(|said| said["intrinsics"]["coefficients"] = json!([0, 0, 0, 0])), "intrinsics.coefficients");
+    assert_eq!(
+        refused(|said| said["intrinsics"]["coefficients"] = json!([0, 0, 0, 0])),
+        "intrinsics.coefficients"
+    );
     assert_eq!(refused(|said| said["intrinsics"]["width"] = json!(100_000)), "intrinsics.width");
     assert_eq!(refused(|said| said["depth_unit_m"] = json!(0.0)), "depth_unit_m");
     assert_eq!(refused(|said| said["intrinsics"]["width"] = json!(WIDTH + 1)), "depth");

@@ -35,7 +35,10 @@ impl Distortion {
         let plain = name.trim().to_ascii_lowercase().replace([' ', '-'], "_");
         let found = Self::NAMES.iter().find(|(known, _)| *known == plain);
         found.map(|(_, distortion)| *distortion).ok_or_else(|| {
-            FieldError::new(field, "must be none, brown_conrady, inverse_brown_conrady or modified_brown_conrady")
+            FieldError::new(
+                field,
+                "must be none, brown_conrady, inverse_brown_conrady or modified_brown_conrady",
+            )
         })
     }
 
@@ -83,7 +86,8 @@ impl Intrinsics {
     /// A side, focal length, centre or coefficient outside the range of a camera; a distortion that
     /// cannot be inverted at the corners.
     pub fn checked(self) -> Result<Self, FieldError> {
-        for (field, side) in [("intrinsics.width", self.width), ("intrinsics.height", self.height)] {
+        for (field, side) in [("intrinsics.width", self.width), ("intrinsics.height", self.height)]
+        {
             bounded(field, f64::from(side), f64::from(SIDE_MIN), f64::from(SIDE_MAX), "pixels")?;
         }
         let longest = f64::from(self.width.max(self.height));
@@ -95,11 +99,12 @@ impl Intrinsics {
             bounded(&format!("intrinsics.coefficients[{k}]"), coefficient, -10.0, 10.0, "")?;
         }
         let [right, bottom] = [self.width - 1, self.height - 1].map(f64::from);
-        let lost = [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]].into_iter().find(|corner| {
-            let [x, y] = self.direction(*corner);
-            let back = self.project([x, y, 1.0]);
-            !(back[0] - corner[0]).hypot(back[1] - corner[1]).le(&0.01)
-        });
+        let lost =
+            [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]].into_iter().find(|corner| {
+                let [x, y] = self.direction(*corner);
+                let back = self.project([x, y, 1.0]);
+                !(back[0] - corner[0]).hypot(back[1] - corner[1]).le(&0.01)
+            });
         match lost {
             None => Ok(self),
             Some(_) => Err(FieldError::new(
@@ -125,7 +130,10 @@ impl Intrinsics {
             Distortion::BrownConrady => (x, y),
             Distortion::InverseBrownConrady | Distortion::ModifiedBrownConrady => (f * x, f * y),
         };
-        [f * x + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a), f * y + 2.0 * p2 * a * b + p1 * (r2 + 2.0 * b * b)]
+        [
+            f * x + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a),
+            f * y + 2.0 * p2 * a * b + p1 * (r2 + 2.0 * b * b),
+        ]
     }
 
     /// Direction through a pixel as (x, y) in the plane at depth 1; x to the right, y down.
@@ -174,7 +182,16 @@ mod tests {
 
     fn lens(model: Distortion) -> Intrinsics {
         let coefficients = [-0.055, 0.062, -0.0006, 0.0011, -0.02];
-        Intrinsics { width: 848, height: 480, fx: 431.0, fy: 430.0, ppx: 426.2, ppy: 238.1, model, coefficients }
+        Intrinsics {
+            width: 848,
+            height: 480,
+            fx: 431.0,
+            fy: 430.0,
+            ppx: 426.2,
+            ppy: 238.1,
+            model,
+            coefficients,
+        }
     }
 
     #[test]
@@ -183,7 +200,10 @@ mod tests {
             let lens = lens(model).checked().unwrap();
             for point in [[0.0, 0.0, 200.0], [80.0, -60.0, 210.0], [-190.0, 100.0, 200.0]] {
                 let back = lens.deproject(lens.project(point), point[2]);
-                assert!((0..3).all(|k| (back[k] - point[k]).abs() < 1e-7), "{model:?} {point:?} {back:?}");
+                assert!(
+                    (0..3).all(|k| (back[k] - point[k]).abs() < 1e-7),
+                    "{model:?} {point:?} {back:?}"
+                );
             }
         }
     }
@@ -201,18 +221,37 @@ mod tests {
             let x = 0.4 * f + 2.0 * -0.0006 * a * b + 0.0011 * (0.25 + 2.0 * a * a);
             let y = -0.3 * f + 2.0 * 0.0011 * a * b + -0.0006 * (0.25 + 2.0 * b * b);
             let seen = lens(model).project([0.8, -0.6, 2.0]);
-            assert!((seen[0] - (x * 431.0 + 426.2)).abs() < 1e-9 && (seen[1] - (y * 430.0 + 238.1)).abs() < 1e-9);
+            assert!(
+                (seen[0] - (x * 431.0 + 426.2)).abs() < 1e-9
+                    && (seen[1] - (y * 430.0 + 238.1)).abs() < 1e-9
+            );
         }
         let seen = lens(Distortion::None).project([0.8, -0.6, 2.0]);
-        assert!((seen[0] - (0.4 * 431.0 + 426.2)).abs() < 1e-9, "without distortion the coefficients do nothing");
+        assert!(
+            (seen[0] - (0.4 * 431.0 + 426.2)).abs() < 1e-9,
+            "without distortion the coefficients do nothing"
+        );
     }
 
     #[test]
     fn names_are_those_of_librealsense_and_nothing_else() {
-        assert_eq!(Distortion::named("m", "Inverse Brown Conrady"), Ok(Distortion::InverseBrownConrady));
-        assert_eq!(Distortion::named("m", "modified_brown_conrady"), Ok(Distortion::ModifiedBrownConrady));
-        assert!(Distortion::NAMES.iter().all(|(name, model)| Distortion::named("m", name) == Ok(*model)));
-        assert_eq!(Distortion::named("intrinsics.model", "fisheye").unwrap_err().field, "intrinsics.model");
+        assert_eq!(
+            Distortion::named("m", "Inverse Brown Conrady"),
+            Ok(Distortion::InverseBrownConrady)
+        );
+        assert_eq!(
+            Distortion::named("m", "modified_brown_conrady"),
+            Ok(Distortion::ModifiedBrownConrady)
+        );
+        assert!(
+            Distortion::NAMES
+                .iter()
+                .all(|(name, model)| Distortion::named("m", name) == Ok(*model))
+        );
+        assert_eq!(
+            Distortion::named("intrinsics.model", "fisheye").unwrap_err().field,
+            "intrinsics.model"
+        );
     }
 
     #[test]
@@ -228,6 +267,9 @@ mod tests {
         assert_eq!(field(|l| l.fy = f64::NAN), "intrinsics.fy");
         assert_eq!(field(|l| l.ppx = -1.0), "intrinsics.ppx");
         assert_eq!(field(|l| l.coefficients[2] = f64::INFINITY), "intrinsics.coefficients[2]");
-        assert_eq!(field(|l| l.coefficients = [-5.0, 0.0, 0.0, 0.0, 0.0]), "intrinsics.coefficients");
+        assert_eq!(
+            field(|l| l.coefficients = [-5.0, 0.0, 0.0, 0.0, 0.0]),
+            "intrinsics.coefficients"
+        );
     }
 }

@@ -36,6 +36,7 @@ impl Frame {
 
     /// Fraction of the pixels without depth, 0 to 1.
     pub fn invalid_share(&self) -> f64 {
-        self.depth.iter().filter(|depth| **depth == 0).count() as f64 / self.depth.len().max(1) as f64
+        self.depth.iter().filter(|depth| **depth == 0).count() as f64
+            / self.depth.len().max(1) as f64
     }
 }

@@ -75,12 +75,14 @@ pub(super) fn check(url: &str, looked: &Looked, bounds: &Bounds, tap: &Tap) -> V
     let idle = seen.last().is_some_and(|seen| seen.state.mode() == Mode::Idle);
     // Its own pitch: a driver that does not refuse stays where it is.
     found.add("no lease", "Pitch to 0 deg without control", refusals::without_lease(&raw));
-    let subject = Subject { url, raw: &raw, states: &states, limits: *arm.limits(), bounds, looked, tap };
+    let subject =
+        Subject { url, raw: &raw, states: &states, limits: *arm.limits(), bounds, looked, tap };
     drop(arm);
     match (looked.empty_spoon, idle) {
         (true, true) => moving(&subject, &mut found),
         (true, false) => found.skip(&MOVING, "it is not idle"),
-        (false, _) => found.skip(&MOVING, "nobody has said that the spoon is empty and the vial empty or away"),
+        (false, _) => found
+            .skip(&MOVING, "nobody has said that the spoon is empty and the vial empty or away"),
     }
     found.skip(&["scoop and discard"], "a dry test has no powder");
     found.checks
@@ -119,23 +121,34 @@ fn described(arm: &Arm) -> Found {
 
 fn at_rest(states: &[State]) -> Found {
     let (Some(first), Some(last)) = (states.first(), states.last()) else {
-        return Found::failed("no state came", "the driver must stream states from the moment it is asked");
+        return Found::failed(
+            "no state came",
+            "the driver must stream states from the moment it is asked",
+        );
     };
     let hz = (states.len() - 1) as f64 / REST.as_secs_f64();
-    let came =
-        format!("{:?}, {:?}, pitch {:.2} deg, {hz:.0} states in a second", last.mode(), last.station(), last.pitch_deg);
-    let numbers = states
-        .iter()
-        .all(|it| [it.pitch_deg, it.shake_displacement_mm, it.measured_at_s].iter().all(|x| x.is_finite()));
+    let came = format!(
+        "{:?}, {:?}, pitch {:.2} deg, {hz:.0} states in a second",
+        last.mode(),
+        last.station(),
+        last.pitch_deg
+    );
+    let numbers = states.iter().all(|it| {
+        [it.pitch_deg, it.shake_displacement_mm, it.measured_at_s].iter().all(|x| x.is_finite())
+    });
     match last.mode() {
-        Mode::Latched => Found::failed(came, "a person must look at the arm; then it is told to recover"),
+        Mode::Latched => {
+            Found::failed(came, "a person must look at the arm; then it is told to recover")
+        }
         Mode::Idle if !is_home(last) => {
             Found::failed(came, "an idle arm is level and retracted: see the contract's modes")
         }
         _ if !numbers || last.measured_at_s <= first.measured_at_s => {
             Found::failed(came, "every number must be finite, and the driver's clock must go on")
         }
-        _ if hz < REST_HZ * 0.8 => Found::failed(came, "at least 10 states in a second must come at rest"),
+        _ if hz < REST_HZ * 0.8 => {
+            Found::failed(came, "at least 10 states in a second must come at rest")
+        }
         Mode::Idle => Found::ok(came),
         _ => Found::warning(came, "somebody else has control: check again when it is idle"),
     }
@@ -162,7 +175,11 @@ fn moving(subject: &Subject<'_>, found: &mut Findings) {
     stop::check(subject, &mut lease, found);
     let released = lease.release();
     if let Err(status) = released {
-        found.add("release", "Release", Found::failed(told(&status), "the driver must level, retract and let go"));
+        found.add(
+            "release",
+            "Release",
+            Found::failed(told(&status), "the driver must level, retract and let go"),
+        );
         found.skip(&["dead-man", "recover"], "control could not be given back");
         return;
     }
@@ -182,7 +199,8 @@ impl<'a> Lease<'a> {
     pub(super) fn acquire(subject: &Subject<'a>) -> Result<Self, Status> {
         let request = proto::AcquireRequest { client: "flip bench check".to_owned() };
         let raw = subject.raw;
-        let lease = raw.ask("Acquire", CALL, |mut client| async move { client.acquire(request).await })?;
+        let lease =
+            raw.ask("Acquire", CALL, |mut client| async move { client.acquire(request).await })?;
         let renewals = Some(raw.renew(&lease.lease_id));
         Ok(Self { raw, id: lease.lease_id, dead_man_ms: lease.dead_man_ms, sequence: 0, renewals })
     }
@@ -194,7 +212,11 @@ impl<'a> Lease<'a> {
     }
 
     pub(super) fn numbered(&self, sequence: u64) -> Option<proto::Ticket> {
-        Some(proto::Ticket { lease_id: self.id.clone(), sequence, deadline_ms: MOTION.as_millis() as u32 })
+        Some(proto::Ticket {
+            lease_id: self.id.clone(),
+            sequence,
+            deadline_ms: MOTION.as_millis() as u32,
+        })
     }
 
     pub(super) fn approach(&mut self) -> Result<Executed, Status> {
@@ -209,23 +231,25 @@ impl<'a> Lease<'a> {
 
     pub(super) fn pitch(&mut self, pitch_deg: f64) -> Result<Executed, Status> {
         let request = proto::PitchRequest { ticket: self.next(), pitch_deg };
-        self.raw.ask(
-            &format!("Pitch to {pitch_deg} deg"),
-            MOTION,
-            |mut client| async move { client.pitch(request).await },
-        )
+        self.raw.ask(&format!("Pitch to {pitch_deg} deg"), MOTION, |mut client| async move {
+            client.pitch(request).await
+        })
     }
 
     pub(super) fn shake(&self, sequence: u64, amplitude_mm: f64) -> Result<Executed, Status> {
         let request = proto::ShakeRequest { ticket: self.numbered(sequence), amplitude_mm };
-        self.raw.ask(&format!("{sequence} Shake by {amplitude_mm} mm"), MOTION, |mut client| async move {
-            client.shake(request).await
-        })
+        self.raw.ask(
+            &format!("{sequence} Shake by {amplitude_mm} mm"),
+            MOTION,
+            |mut client| async move { client.shake(request).await },
+        )
     }
 
     pub(super) fn release(mut self) -> Result<(), Status> {
         let request = proto::ReleaseRequest { lease_id: self.id.clone() };
-        let released = self.raw.ask("Release", MOTION, |mut client| async move { client.release(request).await });
+        let released = self
+            .raw
+            .ask("Release", MOTION, |mut client| async move { client.release(request).await });
         self.renewals = None;
         released.map(drop)
     }
@@ -241,7 +265,9 @@ impl Drop for Lease<'_> {
         if self.renewals.is_some() {
             // There is nobody left to report a failure to: the dead-man acts on it.
             let request = proto::ReleaseRequest { lease_id: self.id.clone() };
-            let _ = self.raw.ask("Release", MOTION, |mut client| async move { client.release(request).await });
+            let _ = self
+                .raw
+                .ask("Release", MOTION, |mut client| async move { client.release(request).await });
         }
     }
 }

@@ -36,11 +36,18 @@ pub(super) fn check(file: &BenchFile, clock: &Clock, tap: &Tap) -> Vec<Check> {
         }
     };
     found.add("opens", asked, Found::ok("open"));
-    found.add("identity", "model, serial number, version of its software", identity(balance.identify()));
+    found.add(
+        "identity",
+        "model, serial number, version of its software",
+        identity(balance.identify()),
+    );
     let first = balance.immediate();
     found.add("reading", "what the display shows now", reading(settings, &first));
     let Ok(first) = first else {
-        found.skip(&["stable", "rate", "step", "noise", "drift", "life", "tare"], "it gives no reading");
+        found.skip(
+            &["stable", "rate", "step", "noise", "drift", "life", "tare"],
+            "it gives no reading",
+        );
         return found.checks;
     };
     stands(file, &mut balance, clock, &first, &mut found);
@@ -51,12 +58,16 @@ pub(super) fn check(file: &BenchFile, clock: &Clock, tap: &Tap) -> Vec<Check> {
 fn identity(told: Result<Identity, DeviceError>) -> Found {
     let note = "some balances tell nothing of themselves: write its serial number down";
     match told {
-        Ok(identity) if identity.is_unknown() => Found::warning("it refuses to say who it is: identity unknown", note),
+        Ok(identity) if identity.is_unknown() => {
+            Found::warning("it refuses to say who it is: identity unknown", note)
+        }
         Ok(Identity { maker, model, serial, software }) => {
             let told = [Some(maker), model, serial.map(|it| format!("serial {it}")), software];
             Found::ok(told.into_iter().flatten().collect::<Vec<_>>().join(", "))
         }
-        Err(DeviceError::Silent { .. }) => Found::warning("it does not say who it is: identity unknown", note),
+        Err(DeviceError::Silent { .. }) => {
+            Found::warning("it does not say who it is: identity unknown", note)
+        }
         Err(error) => error.into(),
     }
 }
@@ -65,7 +76,10 @@ fn reading(settings: &Settings, first: &Result<Sample, DeviceError>) -> Found {
     match first {
         Ok(sample) => Found::ok(format!("{} mg, from `{}`", sample.mass_mg, sample.raw)),
         Err(error @ DeviceError::Garbled { .. }) if settings.readability_mg.is_some() => {
-            Found::failed(error.to_string(), "compare dialect and readability_mg in the bench file with the display")
+            Found::failed(
+                error.to_string(),
+                "compare dialect and readability_mg in the bench file with the display",
+            )
         }
         Err(error) => error.clone().into(),
     }
@@ -76,7 +90,10 @@ fn reading(settings: &Settings, first: &Result<Sample, DeviceError>) -> Found {
 fn step(settings: &Settings, samples: &[Sample]) -> Found {
     let Some((place_mg, step)) = shown_step(settings, samples) else {
         let first = samples.first().map_or("", |sample| &sample.raw);
-        return Found::failed(format!("`{first}` shows no step"), "compare the dialect with the display");
+        return Found::failed(
+            format!("`{first}` shows no step"),
+            "compare the dialect with the display",
+        );
     };
     // Three times a tenth is not 0.3, and 0.5 is written like that.
     let shown_mg = (step.unwrap_or(1) as f64 * place_mg * 1e6).round() / 1e6;
@@ -100,12 +117,14 @@ fn step(settings: &Settings, samples: &[Sample]) -> Found {
 /// The last place of the display, mg, and its step in that place; `None` for the latter where too
 /// few different numbers were shown to tell.
 fn shown_step(settings: &Settings, samples: &[Sample]) -> Option<(f64, Option<i64>)> {
-    let places: Vec<(f64, i64)> = samples.iter().filter_map(|sample| in_last_places(settings, sample)).collect();
+    let places: Vec<(f64, i64)> =
+        samples.iter().filter_map(|sample| in_last_places(settings, sample)).collect();
     let place_mg = places.first()?.0;
     let numbers: Vec<i64> = places.iter().filter(|it| it.0 == place_mg).map(|it| it.1).collect();
     let changes = numbers.windows(2).filter(|pair| pair[0] != pair[1]).count();
     let distinct: BTreeSet<i64> = numbers.iter().copied().collect();
-    let step = STEPS.into_iter().rev().find(|step| numbers.iter().all(|number| number % step == 0))?;
+    let step =
+        STEPS.into_iter().rev().find(|step| numbers.iter().all(|number| number % step == 0))?;
     // By chance one number in five has a last digit that fits a step of five, two in succession one
     // time in 25.
     let is_known = distinct.len() >= 2 && (step == 1 || distinct.len() >= 3 || changes >= 3);
@@ -115,21 +134,31 @@ fn shown_step(settings: &Settings, samples: &[Sample]) -> Option<(f64, Option<i6
 /// The last place of the display, mg, and the number in units of it.
 fn in_last_places(settings: &Settings, sample: &Sample) -> Option<(f64, i64)> {
     match settings.dialect.parse(sample.raw.as_bytes()).ok()?.said {
-        Said::Weight(weight) => Some((weight.number.last_place_mg(weight.unit?), weight.number.in_last_places())),
+        Said::Weight(weight) => {
+            Some((weight.number.last_place_mg(weight.unit?), weight.number.in_last_places()))
+        }
         _ => None,
     }
 }
 
 /// Becomes stable in time; is then observed for a while: reading rate, step, scatter, creep.
-fn stands(file: &BenchFile, balance: &mut Balance, clock: &Clock, first: &Sample, found: &mut Findings) {
+fn stands(
+    file: &BenchFile,
+    balance: &mut Balance,
+    clock: &Clock,
+    first: &Sample,
+    found: &mut Findings,
+) {
     found.add(
         "stable",
         format!("a stable reading within {} s", file.readings.stand_max_s),
         stable(file, balance, clock),
     );
     let (mut samples, failures) = watch(balance, clock);
-    let shown: Vec<Shown> =
-        samples.iter().map(|it| Shown { t_s: it.t_s, mass_mg: it.mass_mg, flag: it.stable }).collect();
+    let shown: Vec<Shown> = samples
+        .iter()
+        .map(|it| Shown { t_s: it.t_s, mass_mg: it.mass_mg, flag: it.stable })
+        .collect();
     samples.push(first.clone());
     let step_mg = file.balance.readability_mg.unwrap_or(1.0);
     let asked = format!("readings for {WATCH_S} s, nothing moving");
@@ -137,7 +166,11 @@ fn stands(file: &BenchFile, balance: &mut Balance, clock: &Clock, first: &Sample
     found.add("step", asked.clone(), step(&file.balance, &samples));
     match standing(&Settling::new(step_mg), &shown) {
         Some(stood) => {
-            found.add("noise", asked.clone(), noise(file.readings.noise_mg, step_mg, stood.scatter_mg));
+            found.add(
+                "noise",
+                asked.clone(),
+                noise(file.readings.noise_mg, step_mg, stood.scatter_mg),
+            );
             found.add("drift", asked, drift(step_mg, stood.drift_mg_min, stood.seconds));
         }
         None => found.skip(&["noise", "drift"], "there were too few readings"),
@@ -211,14 +244,23 @@ fn watch(balance: &mut Balance, clock: &Clock) -> (Vec<Sample>, Option<DeviceErr
 fn rate(shown: &[Shown], failure: Option<&DeviceError>) -> Found {
     if let Some(error) = failure {
         let came = format!("{} readings, then: {error}", shown.len());
-        return Found::failed(came, "every question must be answered: check cable, speed and parity");
+        return Found::failed(
+            came,
+            "every question must be answered: check cable, speed and parity",
+        );
     }
-    let (Some(first), Some(last)) = (shown.first(), shown.last()) else { return Found::skipped("no reading came") };
+    let (Some(first), Some(last)) = (shown.first(), shown.last()) else {
+        return Found::skipped("no reading came");
+    };
     let hz = (shown.len() - 1) as f64 / (last.t_s - first.t_s).max(1e-3);
     let came = format!("{hz:.1} readings in a second");
     match hz {
-        hz if hz < RATE_HZ[1] => Found::failed(came, "raise the balance's display rate or the port's speed"),
-        hz if hz < RATE_HZ[0] => Found::warning(came, "doses take longer: raise the balance's display rate"),
+        hz if hz < RATE_HZ[1] => {
+            Found::failed(came, "raise the balance's display rate or the port's speed")
+        }
+        hz if hz < RATE_HZ[0] => {
+            Found::warning(came, "doses take longer: raise the balance's display rate")
+        }
         _ => Found::ok(came),
     }
 }
@@ -247,6 +289,9 @@ fn drift(step_mg: f64, drift_mg_min: f64, seconds: f64) -> Found {
 fn tare(balance: &mut Balance) -> Found {
     match balance.tare() {
         Ok(sample) => Found::ok(format!("{} mg, stable", sample.mass_mg)),
-        Err(error) => Found::failed(error.to_string(), "nothing can be weighed without: do first what it says"),
+        Err(error) => Found::failed(
+            error.to_string(),
+            "nothing can be weighed without: do first what it says",
+        ),
     }
 }

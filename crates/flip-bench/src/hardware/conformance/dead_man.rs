@@ -32,7 +32,11 @@ pub(super) fn check(subject: &Subject<'_>, found: &mut Findings) {
     };
     let latched = dead_man(subject, &mut lease);
     found.add("dead-man", asked, latched);
-    found.add("recover", "Acquire, which must be refused, then Recover by a person", recover(subject));
+    found.add(
+        "recover",
+        "Acquire, which must be refused, then Recover by a person",
+        recover(subject),
+    );
 }
 
 fn tilted<'a>(subject: &Subject<'a>) -> Result<Lease<'a>, Status> {
@@ -43,7 +47,9 @@ fn tilted<'a>(subject: &Subject<'a>) -> Result<Lease<'a>, Status> {
 }
 
 fn dead_man(subject: &Subject<'_>, lease: &mut Lease<'_>) -> Found {
-    let Some(last) = lease.abandon() else { return Found::skipped("there were no renewals to end") };
+    let Some(last) = lease.abandon() else {
+        return Found::skipped("there were no renewals to end");
+    };
     let bounds = subject.bounds;
     let returns = |state: &proto::State| matches!(state.mode(), Mode::Returning | Mode::Latched);
     let advice = "an arm whose client dies must level, retract and latch by itself: see the contract's dead-man";
@@ -65,7 +71,10 @@ fn dead_man(subject: &Subject<'_>, lease: &mut Lease<'_>) -> Found {
     if began < bounds.dead_man {
         return Found::failed(
             came,
-            format!("it must wait {} ms, or busy clients lose their lease", bounds.dead_man.as_millis()),
+            format!(
+                "it must wait {} ms, or busy clients lose their lease",
+                bounds.dead_man.as_millis()
+            ),
         );
     }
     Found::judged(began <= bounds.return_begins && is_home(&ended.state), came, advice)
@@ -82,16 +91,21 @@ fn recover(subject: &Subject<'_>) -> Found {
         }
     }
     let describe = || {
-        subject.raw.ask("Describe", CALL, |mut client| async move { client.describe(proto::DescribeRequest {}).await })
+        subject.raw.ask("Describe", CALL, |mut client| async move {
+            client.describe(proto::DescribeRequest {}).await
+        })
     };
     let cause = describe().map(|it| it.latch_cause).unwrap_or_default();
     let request = proto::RecoverRequest { person: subject.looked.by.clone() };
-    if let Err(status) = subject.raw.ask("Recover", MOTION, |mut client| async move { client.recover(request).await }) {
+    if let Err(status) = subject
+        .raw
+        .ask("Recover", MOTION, |mut client| async move { client.recover(request).await })
+    {
         return Found::failed(told(&status), "the arm is latched and stays so: look at it");
     }
-    let idle = subject
-        .states
-        .until(Instant::now(), Duration::from_secs(1), |state| state.mode() == Mode::Idle && is_home(state));
+    let idle = subject.states.until(Instant::now(), Duration::from_secs(1), |state| {
+        state.mode() == Mode::Idle && is_home(state)
+    });
     let came = format!("refused (`{cause}`), then idle, level and retracted: {}", idle.is_some());
     Found::judged(
         idle.is_some() && !cause.is_empty(),

@@ -45,7 +45,11 @@ fn answers(gripper: &mut Gripper) -> Found {
         lost += u32::from(gripper.status().is_err());
         slowest = slowest.max(began.elapsed());
     }
-    let came = format!("{} of {ASKED} answers, the slowest after {} ms", ASKED - lost, slowest.as_millis());
+    let came = format!(
+        "{} of {ASKED} answers, the slowest after {} ms",
+        ASKED - lost,
+        slowest.as_millis()
+    );
     let advice = "check the cable, its shield and the bus terminator: frames are lost";
     match (lost, slowest <= QUICK) {
         (0, true) => Found::ok(came),
@@ -56,7 +60,8 @@ fn answers(gripper: &mut Gripper) -> Found {
 
 fn activated(status: &GripperStatus) -> Found {
     let came = format!("activated: {}, fault: {}", status.activated, fault_words(status.fault));
-    let advice = "take the spoon out of the fingers, then activate the gripper; see its lamp for a fault";
+    let advice =
+        "take the spoon out of the fingers, then activate the gripper; see its lamp for a fault";
     // Faults 5 and 9 belong to the past and clear by themselves.
     Found::judged(status.activated && matches!(status.fault, 0 | 5 | 9), came, advice)
 }
@@ -64,7 +69,10 @@ fn activated(status: &GripperStatus) -> Found {
 /// It need not hold a spoon while nobody weighs, but its state must be unambiguous.
 fn spoon(status: &GripperStatus) -> Found {
     match (status.moving, status.holds()) {
-        (true, _) => Found::failed("the fingers move, and nobody asked for it", "see who else commands the gripper"),
+        (true, _) => Found::failed(
+            "the fingers move, and nobody asked for it",
+            "see who else commands the gripper",
+        ),
         (_, true) => Found::ok(format!("it holds a spoon, fingers at {} of 255", status.position)),
         (_, false) => Found::warning(
             format!("it holds nothing, fingers at {} of 255", status.position),

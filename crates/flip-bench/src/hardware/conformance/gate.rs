@@ -25,7 +25,11 @@ pub(super) fn check(port: &str, looked: &Looked, tap: &Tap) -> Vec<Check> {
         }
     };
     let advice = "free the slide and look at the end stops";
-    found.add("hello", format!("open {port}, then its state"), stands(gate.status(), State::Closed, advice));
+    found.add(
+        "hello",
+        format!("open {port}, then its state"),
+        stands(gate.status(), State::Closed, advice),
+    );
     if !looked.empty_funnel {
         found.skip(&moving, "nobody has said that the funnel is empty");
         return found.checks;
@@ -51,7 +55,8 @@ fn stands(told: Result<GateStatus, DeviceError>, wanted: State, advice: &str) ->
 fn watchdog(gate: &mut Gate) -> Found {
     let opened = gate.open_gate(Opening::FULL, Duration::ZERO);
     let began = Instant::now();
-    let advice = "a gate that stays open empties the funnel when FLIP dies: look at board and sketch";
+    let advice =
+        "a gate that stays open empties the funnel when FLIP dies: look at board and sketch";
     // The slide may be on its way back before it has arrived: only closing matters.
     if let Err(error) = opened {
         return error.into();
@@ -59,10 +64,16 @@ fn watchdog(gate: &mut Gate) -> Found {
     loop {
         match gate.status() {
             Ok(GateStatus { state: State::Closed, closed_for: Some(Why::Beats), .. }) => {
-                return Found::ok(format!("closed by itself {} ms after it stood open", began.elapsed().as_millis()));
+                return Found::ok(format!(
+                    "closed by itself {} ms after it stood open",
+                    began.elapsed().as_millis()
+                ));
             }
             Ok(status) if began.elapsed() >= CLOSES => {
-                return Found::failed(format!("{:?} after {} s", status.state, CLOSES.as_secs()), advice);
+                return Found::failed(
+                    format!("{:?} after {} s", status.state, CLOSES.as_secs()),
+                    advice,
+                );
             }
             Ok(_) => std::thread::sleep(ASK_EVERY),
             Err(error) => return error.into(),

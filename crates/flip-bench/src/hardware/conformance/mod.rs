@@ -96,7 +96,10 @@ impl Looked {
     /// `by` names nobody although something is vouched for.
     pub fn by(person: &str, empty_spoon: bool, empty_funnel: bool) -> Result<Self, FieldError> {
         if (empty_spoon || empty_funnel) && person.trim().is_empty() {
-            return Err(FieldError::new("by", "must name the person who looked at spoon, vial and funnel"));
+            return Err(FieldError::new(
+                "by",
+                "must name the person who looked at spoon, vial and funnel",
+            ));
         }
         Ok(Self { by: person.trim().to_owned(), empty_spoon, empty_funnel })
     }
@@ -135,7 +138,13 @@ impl Bounds {
 }
 
 /// Check every device in this file.
-pub fn check(file: &BenchFile, looked: &Looked, bounds: &Bounds, clock: &Clock, tap: &Tap) -> Report {
+pub fn check(
+    file: &BenchFile,
+    looked: &Looked,
+    bounds: &Bounds,
+    clock: &Clock,
+    tap: &Tap,
+) -> Report {
     let mut checks = balance::check(file, clock, tap);
     checks.extend(file.gripper.iter().flat_map(|gripper| fingers::check(&gripper.port, tap)));
     checks.extend(file.gate.iter().flat_map(|gate| gate::check(&gate.port, looked, tap)));
@@ -193,7 +202,14 @@ impl Findings {
 
     fn add(&mut self, name: &'static str, asked: impl Into<String>, found: Found) {
         let Found { came, verdict, advice } = found;
-        self.checks.push(Check { device: self.device, name, asked: asked.into(), came, verdict, advice });
+        self.checks.push(Check {
+            device: self.device,
+            name,
+            asked: asked.into(),
+            came,
+            verdict,
+            advice,
+        });
     }
 
     /// Mark these checks as skipped, all for one reason.

@@ -30,12 +30,16 @@ pub(in crate::hardware) struct Raw {
 
 impl Raw {
     pub(in crate::hardware) fn connect(url: &str, tap: &Tap) -> Result<Self, DeviceError> {
-        let lost = |cause: String| DeviceError::Lost { device: DEVICE, cause: format!("{url}: {cause}") };
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+        let lost =
+            |cause: String| DeviceError::Lost { device: DEVICE, cause: format!("{url}: {cause}") };
+        let runtime =
+            tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         let runtime = runtime.map_err(|error| lost(error.to_string()))?;
-        let endpoint = Endpoint::from_shared(url.to_owned()).map_err(|error| lost(error.to_string()))?;
+        let endpoint =
+            Endpoint::from_shared(url.to_owned()).map_err(|error| lost(error.to_string()))?;
         let endpoint = endpoint.connect_timeout(CALL).tcp_nodelay(true);
-        let channel = runtime.block_on(endpoint.connect()).map_err(|error| lost(error.to_string()))?;
+        let channel =
+            runtime.block_on(endpoint.connect()).map_err(|error| lost(error.to_string()))?;
         Ok(Self { runtime, client: ArmClient::new(channel), tap: tap.clone() })
     }
 
@@ -53,8 +57,12 @@ impl Raw {
         self.tap.sent(DEVICE, what);
         let (call, tap) = (call(self.client.clone()), self.tap.clone());
         self.runtime.spawn(async move {
-            let late = || Status::deadline_exceeded(format!("no answer within {} s", limit.as_secs()));
-            let answer = timeout(limit, call).await.unwrap_or_else(|_| Err(late())).map(Response::into_inner);
+            let late =
+                || Status::deadline_exceeded(format!("no answer within {} s", limit.as_secs()));
+            let answer = timeout(limit, call)
+                .await
+                .unwrap_or_else(|_| Err(late()))
+                .map(Response::into_inner);
             match &answer {
                 Ok(answer) => tap.received(DEVICE, format!("{answer:?}")),
                 Err(status) => tap.received(DEVICE, told(status)),
@@ -87,7 +95,9 @@ impl Raw {
         let seen = Arc::<Mutex<Vec<Seen>>>::default();
         let (keep, mut client) = (seen.clone(), self.client.clone());
         let task = self.runtime.spawn(async move {
-            let Ok(stream) = client.stream_state(proto::StreamStateRequest {}).await else { return };
+            let Ok(stream) = client.stream_state(proto::StreamStateRequest {}).await else {
+                return;
+            };
             let mut stream = stream.into_inner();
             while let Ok(Some(state)) = stream.message().await {
                 locked(&keep).push(Seen { at: Instant::now(), state });
@@ -139,7 +149,12 @@ impl Watch {
     }
 
     /// The first state from that moment on that satisfies `is_so`, waiting for it.
-    pub(super) fn until(&self, from: Instant, limit: Duration, is_so: impl Fn(&State) -> bool) -> Option<Seen> {
+    pub(super) fn until(
+        &self,
+        from: Instant,
+        limit: Duration,
+        is_so: impl Fn(&State) -> bool,
+    ) -> Option<Seen> {
         let until = Instant::now() + limit;
         loop {
             let found = self.since(from).into_iter().find(|seen| is_so(&seen.state));

@@ -16,7 +16,9 @@ const MOVED: f64 = 0.05;
 pub(super) fn without_lease(raw: &Raw) -> Found {
     let ticket = Some(proto::Ticket { lease_id: "nobody".to_owned(), sequence: 1, deadline_ms: 0 });
     let request = proto::PitchRequest { ticket, pitch_deg: 0.0 };
-    let answer = raw.ask("Pitch to 0 deg, by nobody", CALL, |mut client| async move { client.pitch(request).await });
+    let answer = raw.ask("Pitch to 0 deg, by nobody", CALL, |mut client| async move {
+        client.pitch(request).await
+    });
     // A latched arm reports that first.
     refused(answer, &[Code::PermissionDenied, Code::FailedPrecondition])
 }
@@ -28,19 +30,33 @@ pub(super) fn control(dead_man_ms: Result<u32, Status>, bounds: &Bounds) -> Foun
             format!("a lease with a dead-man of {ms} ms"),
             format!("the contract's dead-man is {} ms", bounds.dead_man.as_millis()),
         ),
-        Err(status) => Found::failed(told(&status), "an idle arm must give control to whoever asks first"),
+        Err(status) => {
+            Found::failed(told(&status), "an idle arm must give control to whoever asks first")
+        }
     }
 }
 
 pub(super) fn check(subject: &Subject<'_>, lease: &Lease<'_>, found: &mut Findings) {
     let request = proto::AcquireRequest { client: "another".to_owned() };
-    let second =
-        subject.raw.ask("Acquire, by another", CALL, |mut client| async move { client.acquire(request).await });
-    found.add("one client", "Acquire while another has control", refused(second, &[Code::ResourceExhausted]));
-    found.add("bad numbers", "pitches and shakes out of bounds, NaN and infinite", bad_numbers(subject, lease));
-    let ticket = Some(proto::Ticket { lease_id: format!("{}-not", lease.id), sequence: 1, deadline_ms: 0 });
+    let second = subject.raw.ask("Acquire, by another", CALL, |mut client| async move {
+        client.acquire(request).await
+    });
+    found.add(
+        "one client",
+        "Acquire while another has control",
+        refused(second, &[Code::ResourceExhausted]),
+    );
+    found.add(
+        "bad numbers",
+        "pitches and shakes out of bounds, NaN and infinite",
+        bad_numbers(subject, lease),
+    );
+    let ticket =
+        Some(proto::Ticket { lease_id: format!("{}-not", lease.id), sequence: 1, deadline_ms: 0 });
     let request = proto::PitchRequest { ticket, pitch_deg: 0.0 };
-    let answer = subject.raw.ask("Pitch, wrong lease", CALL, |mut client| async move { client.pitch(request).await });
+    let answer = subject
+        .raw
+        .ask("Pitch, wrong lease", CALL, |mut client| async move { client.pitch(request).await });
     found.add(
         "wrong lease",
         "Pitch to 0 deg under a lease that was never given",
@@ -55,18 +71,25 @@ fn bad_numbers(subject: &Subject<'_>, lease: &Lease<'_>) -> Found {
     for pitch_deg in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 90.5, -90.5] {
         let request = proto::PitchRequest { ticket: lease.numbered(1), pitch_deg };
         let what = format!("Pitch to {pitch_deg} deg");
-        let answer = subject.raw.ask(&what, MOTION, |mut client| async move { client.pitch(request).await });
+        let answer =
+            subject.raw.ask(&what, MOTION, |mut client| async move { client.pitch(request).await });
         wrong.extend(accepted(&what, answer));
     }
     for amplitude_mm in [f64::NAN, f64::INFINITY, -1.0, 1e4] {
-        wrong.extend(accepted(&format!("Shake by {amplitude_mm} mm"), lease.shake(1, amplitude_mm)));
+        wrong
+            .extend(accepted(&format!("Shake by {amplitude_mm} mm"), lease.shake(1, amplitude_mm)));
     }
     std::thread::sleep(AFTER);
     if moved(subject, began) {
         wrong.push("the spoon moved".to_owned());
     }
-    let came = if wrong.is_empty() { "all refused, nothing moved".to_owned() } else { wrong.join("; ") };
-    Found::judged(wrong.is_empty(), came, "such a request must be refused with INVALID_ARGUMENT before anything moves")
+    let came =
+        if wrong.is_empty() { "all refused, nothing moved".to_owned() } else { wrong.join("; ") };
+    Found::judged(
+        wrong.is_empty(),
+        came,
+        "such a request must be refused with INVALID_ARGUMENT before anything moves",
+    )
 }
 
 fn accepted(what: &str, answer: Result<Executed, Status>) -> Option<String> {
@@ -95,8 +118,10 @@ pub(super) fn moved(subject: &Subject<'_>, since: Instant) -> bool {
 pub(super) fn refused<A>(answer: Result<A, Status>, codes: &[Code]) -> Found {
     match answer {
         Ok(_) => Found::failed("it was carried out", format!("it must be refused with {codes:?}")),
-        Err(status) => {
-            Found::judged(codes.contains(&status.code()), told(&status), format!("it must be refused with {codes:?}"))
-        }
+        Err(status) => Found::judged(
+            codes.contains(&status.code()),
+            told(&status),
+            format!("it must be refused with {codes:?}"),
+        ),
     }
 }

@@ -23,7 +23,11 @@ pub(super) fn check(subject: &Subject<'_>, lease: &mut Lease<'_>, found: &mut Fi
         format!("Stop on another connection during a pitch to {upper_deg} deg"),
         stop(subject, lease, upper_deg),
     );
-    found.add("after stop", "Pitch, which must be refused, then Retract", afterwards(subject, lease));
+    found.add(
+        "after stop",
+        "Pitch, which must be refused, then Retract",
+        afterwards(subject, lease),
+    );
 }
 
 fn stop(subject: &Subject<'_>, lease: &mut Lease<'_>, upper_deg: f64) -> Found {
@@ -33,9 +37,12 @@ fn stop(subject: &Subject<'_>, lease: &mut Lease<'_>, upper_deg: f64) -> Found {
     };
     let request = proto::PitchRequest { ticket: lease.next(), pitch_deg: upper_deg };
     let began = Instant::now();
-    let motion =
-        subject.raw.begin("Pitch, to be stopped", MOTION, |mut client| async move { client.pitch(request).await });
-    let under_way = subject.states.until(began, Duration::from_secs(2), |state| state.pitch_deg > UNDER_WAY_DEG);
+    let motion = subject.raw.begin("Pitch, to be stopped", MOTION, |mut client| async move {
+        client.pitch(request).await
+    });
+    let under_way = subject
+        .states
+        .until(began, Duration::from_secs(2), |state| state.pitch_deg > UNDER_WAY_DEG);
     let request = proto::StopRequest { reason: "flip bench check".to_owned() };
     let asked = Instant::now();
     let answer = stopper.ask("Stop", CALL, |mut client| async move { client.stop(request).await });
@@ -50,13 +57,19 @@ fn stop(subject: &Subject<'_>, lease: &mut Lease<'_>, upper_deg: f64) -> Found {
             "the motion was over before it was stopped",
             "the motion is too quick for this test: stop a slow one by hand",
         ),
-        (_, Err(status)) if status.code() != Code::Aborted => {
-            Found::failed(format!("the motion answered {}", told(&status)), "a stopped motion must answer ABORTED")
-        }
+        (_, Err(status)) if status.code() != Code::Aborted => Found::failed(
+            format!("the motion answered {}", told(&status)),
+            "a stopped motion must answer ABORTED",
+        ),
         _ => {
             let stood = stood_after(&subject.states.since(began), asked);
-            let came = format!("stood after {} ms, answered after {} ms", stood.as_millis(), answered.as_millis());
-            let advice = format!("the spoon must stand within {} ms", subject.bounds.stop.as_millis());
+            let came = format!(
+                "stood after {} ms, answered after {} ms",
+                stood.as_millis(),
+                answered.as_millis()
+            );
+            let advice =
+                format!("the spoon must stand within {} ms", subject.bounds.stop.as_millis());
             Found::judged(stood <= subject.bounds.stop, came, advice)
         }
     }
@@ -67,7 +80,10 @@ fn stop(subject: &Subject<'_>, lease: &mut Lease<'_>, upper_deg: f64) -> Found {
 fn stood_after(seen: &[Seen], asked: Instant) -> Duration {
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return Duration::ZERO };
     let since_first = |at: Instant| at.saturating_duration_since(first.at).as_secs_f64();
-    let lag_s = seen.iter().map(|it| since_first(it.at) - it.state.measured_at_s).fold(f64::INFINITY, f64::min);
+    let lag_s = seen
+        .iter()
+        .map(|it| since_first(it.at) - it.state.measured_at_s)
+        .fold(f64::INFINITY, f64::min);
     let changing = |it: &&Seen| (it.state.pitch_deg - last.state.pitch_deg).abs() > STANDS_DEG;
     let stood = seen.iter().rposition(|it| changing(&it)).and_then(|k| seen.get(k + 1));
     let stood_s = stood.map_or(0.0, |it| it.state.measured_at_s + lag_s - since_first(asked));
@@ -75,7 +91,9 @@ fn stood_after(seen: &[Seen], asked: Instant) -> Duration {
 }
 
 fn afterwards(subject: &Subject<'_>, lease: &mut Lease<'_>) -> Found {
-    let stopped = subject.states.until(Instant::now(), Duration::from_secs(1), |state| state.mode() == Mode::Stopped);
+    let stopped = subject
+        .states
+        .until(Instant::now(), Duration::from_secs(1), |state| state.mode() == Mode::Stopped);
     if stopped.is_none() {
         return Found::failed(
             "its states do not say STOPPED",
@@ -90,5 +108,9 @@ fn afterwards(subject: &Subject<'_>, lease: &mut Lease<'_>) -> Found {
         return Found::failed(told(&status), "Retract must bring the spoon back after Stop");
     }
     let home = subject.states.until(Instant::now(), Duration::from_secs(1), is_home);
-    Found::judged(home.is_some(), "refused, then level and retracted", "after Retract the spoon must be level and away")
+    Found::judged(
+        home.is_some(),
+        "refused, then level and retracted",
+        "after Retract the spoon must be level and away",
+    )
 }

@@ -22,20 +22,38 @@ fn laboratory(balance: balances::Settings, speed: f64) -> (Laboratory, Clock) {
     laboratory_with(arms::Settings::DEFAULT.dead_man_ms, balance, speed)
 }
 
-fn laboratory_with(dead_man_ms: u32, balance: balances::Settings, speed: f64) -> (Laboratory, Clock) {
-    let arm = arms::Settings { dead_man_ms, approach_s: 0.3, retract_s: 0.3, ..arms::Settings::DEFAULT };
+fn laboratory_with(
+    dead_man_ms: u32,
+    balance: balances::Settings,
+    speed: f64,
+) -> (Laboratory, Clock) {
+    let arm =
+        arms::Settings { dead_man_ms, approach_s: 0.3, retract_s: 0.3, ..arms::Settings::DEFAULT };
     let clock = Clock::fast(speed);
     let spoon = Box::new(FormulaSpoon::new(Flow { capacity_mg: 0.0, ..Flow::default() }, 1));
-    (Laboratory::start(Settings { balance, arm, ..Settings::default() }, clock.clone(), spoon).unwrap(), clock)
+    (
+        Laboratory::start(Settings { balance, arm, ..Settings::default() }, clock.clone(), spoon)
+            .unwrap(),
+        clock,
+    )
 }
 
 fn fine() -> balances::Settings {
-    balances::Settings { readability_mg: 0.1, noise_mg: 0.05, wander_mg: 0.02, ..balances::Settings::default() }
+    balances::Settings {
+        readability_mg: 0.1,
+        noise_mg: 0.05,
+        wander_mg: 0.02,
+        ..balances::Settings::default()
+    }
 }
 
 /// The checks that failed, by device and name.
 fn failed(checks: &[Check]) -> Vec<(&'static str, &'static str)> {
-    checks.iter().filter(|it| it.verdict == Verdict::Failed).map(|it| (it.device, it.name)).collect()
+    checks
+        .iter()
+        .filter(|it| it.verdict == Verdict::Failed)
+        .map(|it| (it.device, it.name))
+        .collect()
 }
 
 #[test]
@@ -54,7 +72,11 @@ fn nothing_moves_where_nobody_has_looked() {
     let (lab, clock) = laboratory(fine(), 1.0);
     let report = check(&lab.file(), &Looked::nobody(), &PATIENT, &clock, &Tap::none());
     assert!(report.passed, "{:#?}", report.checks);
-    assert!(report.count(Verdict::Skipped) > 10 && lab.arm.log().is_empty() && lab.slide.opening() == 0.0);
+    assert!(
+        report.count(Verdict::Skipped) > 10
+            && lab.arm.log().is_empty()
+            && lab.slide.opening() == 0.0
+    );
     assert!(Looked::by(" ", true, false).is_err());
 }
 
@@ -86,12 +108,16 @@ fn what_is_wrong_with_a_balance_is_named() {
 
 /// The checks of an MT-SICS balance that answers commands by this function and knows no others;
 /// `told` is appended to its bench file.
-fn checked(told: &str, mut answer: impl FnMut(&str) -> Option<String> + Send + 'static) -> Vec<Check> {
+fn checked(
+    told: &str,
+    mut answer: impl FnMut(&str) -> Option<String> + Send + 'static,
+) -> Vec<Check> {
     struct Answers<F>(F);
     impl<F: FnMut(&str) -> Option<String> + Send + 'static> Talker for Answers<F> {
         fn hear(&mut self, bytes: &[u8], say: &mut dyn FnMut(&[u8])) {
             for command in String::from_utf8_lossy(bytes).split_terminator("\r\n") {
-                say(format!("{}\r\n", (self.0)(command).unwrap_or_else(|| "ES".to_owned())).as_bytes());
+                say(format!("{}\r\n", (self.0)(command).unwrap_or_else(|| "ES".to_owned()))
+                    .as_bytes());
             }
         }
     }
@@ -114,7 +140,12 @@ fn weighs_in(step: i64, status: char) -> impl FnMut(&str) -> Option<String> + Se
         let number = |tenths: i64| {
             format!(
                 "{:>10}",
-                format!("{}{}.{:04}", if tenths < 0 { "-" } else { "" }, tenths.abs() / 10_000, tenths.abs() % 10_000)
+                format!(
+                    "{}{}.{:04}",
+                    if tenths < 0 { "-" } else { "" },
+                    tenths.abs() / 10_000,
+                    tenths.abs() % 10_000
+                )
             )
         };
         match command {
@@ -157,7 +188,10 @@ fn a_balance_that_never_flags_stable_is_told_as_such_and_passes_by_our_own_windo
     for name in ["stable", "tare"] {
         let check = named(&without, name);
         let words = format!("{} {}", check.came, check.advice.clone().unwrap_or_default());
-        assert!(check.verdict == Verdict::Failed && words.contains("stable_by = \"window\""), "{check:?}");
+        assert!(
+            check.verdict == Verdict::Failed && words.contains("stable_by = \"window\""),
+            "{check:?}"
+        );
     }
     let with = checked("readability_mg = 0.1\nstable_by = \"window\"", weighs_in(1, 'D'));
     assert_eq!(failed(&with), [], "{with:#?}");

@@ -105,7 +105,9 @@ pub enum Said {
 /// # Errors
 /// [`DeviceError::Garbled`]
 pub fn parse(line: &[u8]) -> Result<Reply, DeviceError> {
-    unframed(line).and_then(reply).ok_or_else(|| DeviceError::Garbled { device: super::DEVICE, got: shown(line) })
+    unframed(line)
+        .and_then(reply)
+        .ok_or_else(|| DeviceError::Garbled { device: super::DEVICE, got: shown(line) })
 }
 
 fn reply(text: &str) -> Option<Reply> {
@@ -174,7 +176,8 @@ pub fn framed(text: &str) -> String {
 pub fn unframed(line: &[u8]) -> Option<&str> {
     let line = std::str::from_utf8(line).ok()?;
     let (text, sum) = line.rsplit_once('*')?;
-    let is_sum = sum.len() == 4 && sum.bytes().all(|byte| byte.is_ascii_digit() || (b'A'..=b'F').contains(&byte));
+    let is_sum = sum.len() == 4
+        && sum.bytes().all(|byte| byte.is_ascii_digit() || (b'A'..=b'F').contains(&byte));
     (is_sum && u16::from_str_radix(sum, 16) == Ok(crc(text.as_bytes()))).then_some(text)
 }
 

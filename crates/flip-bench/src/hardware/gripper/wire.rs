@@ -64,12 +64,19 @@ impl Wire {
 
 impl Ends {
     /// Read available bytes.
-    fn poll_take(&mut self, waker: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+    fn poll_take(
+        &mut self,
+        waker: &mut Context<'_>,
+        into: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
         let before = into.filled().len();
         std::task::ready!(Pin::new(&mut self.stream).poll_read(waker, into))?;
         let came = &into.filled()[before..];
         if came.is_empty() {
-            return Poll::Ready(Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the connection was closed")));
+            return Poll::Ready(Err(io::Error::new(
+                io::ErrorKind::UnexpectedEof,
+                "the connection was closed",
+            )));
         }
         self.tap.received(DEVICE, shown(came));
         self.heard.extend_from_slice(came);
@@ -78,13 +85,21 @@ impl Ends {
 }
 
 impl AsyncRead for Wire {
-    fn poll_read(self: Pin<&mut Self>, waker: &mut Context<'_>, into: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        waker: &mut Context<'_>,
+        into: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
         self.ends().poll_take(waker, into)
     }
 }
 
 impl AsyncWrite for Wire {
-    fn poll_write(self: Pin<&mut Self>, waker: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        waker: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
         let mut ends = self.ends();
         let mut late = [0; 256];
         while let Poll::Ready(taken) = ends.poll_take(waker, &mut ReadBuf::new(&mut late)) {

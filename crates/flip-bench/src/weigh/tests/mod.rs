@@ -14,7 +14,12 @@ fn shaker(pitch_deg: f64, shake_mm: f64) -> Controller {
     Controller::Schedule(Schedule { steps: vec![ScheduledStep { pitch_deg, shake_mm }] })
 }
 
-const ORDER: Order = Order { target_mg: 10.0, tolerance_lower_mg: 1.0, tolerance_upper_mg: 1.0, readability_mg: 1.0 };
+const ORDER: Order = Order {
+    target_mg: 10.0,
+    tolerance_lower_mg: 1.0,
+    tolerance_upper_mg: 1.0,
+    readability_mg: 1.0,
+};
 /// Forecasts have their own tests: here the scripted falls must happen.
 const BLIND: Settings = Settings { forecast: None, ..Settings::BENCH };
 
@@ -35,7 +40,8 @@ fn hear(
 #[test]
 fn a_dose_keeps_within_what_the_arm_can_do_and_the_policy_was_made_for() {
     let mut bench = Scripted::giving(&[2.0]);
-    bench.reach = Reach { pitch: PitchLimits { lower_deg: -20.0, upper_deg: 5.0 }, shake_mm_max: 4.0 };
+    bench.reach =
+        Reach { pitch: PitchLimits { lower_deg: -20.0, upper_deg: 5.0 }, shake_mm_max: 4.0 };
     let weighed = weigh_on(&mut bench, &Rules::FLIP);
     assert_eq!((weighed.outcome, weighed.cause), (Outcome::Within, None));
     let highest = |of: fn(&Tick) -> f64| weighed.ticks.iter().map(of).fold(0.0, f64::max);
@@ -53,8 +59,15 @@ fn where_arm_and_policy_have_no_range_in_common_nothing_moves_and_the_ranges_are
         bench.reach = reach;
         let weighed = weigh_on(&mut bench, &Rules::FLIP);
         let cause = weighed.cause.unwrap_or_default();
-        assert_eq!((weighed.outcome, weighed.must_look, bench.calls.len()), (Outcome::Aborted, false, 0), "{cause}");
-        assert!(cause.contains("the arm tilts its spoon from") && cause.contains("-10 to 50 deg"), "{cause}");
+        assert_eq!(
+            (weighed.outcome, weighed.must_look, bench.calls.len()),
+            (Outcome::Aborted, false, 0),
+            "{cause}"
+        );
+        assert!(
+            cause.contains("the arm tilts its spoon from") && cause.contains("-10 to 50 deg"),
+            "{cause}"
+        );
     }
 }
 
@@ -79,14 +92,27 @@ fn a_dose_goes_through_its_phases_and_its_result_is_complete() {
     assert_eq!(bench.calls, [begun, steps, ended].concat());
     assert_eq!(told[..4], ["Armed", "Dosing", "tick 0", "decision 1"]);
     assert_eq!(told[told.len() - 3..], ["tick 5", "decision 6", "Settling"]);
-    assert_eq!((weighed.outcome, weighed.reading_mg, weighed.shakes), (Outcome::Within, Some(10.0), 5));
+    assert_eq!(
+        (weighed.outcome, weighed.reading_mg, weighed.shakes),
+        (Outcome::Within, Some(10.0), 5)
+    );
     assert_eq!((weighed.tare_mg, weighed.gross_mg), (Some(12_000.0), Some(12_010.0)));
     assert_eq!((weighed.stable_by_flag, weighed.stable_by_window), (Some(true), Some(true)));
     assert_eq!((weighed.drift_before_mg_min, weighed.drift_after_mg_min), (Some(0.0), Some(0.0)));
     assert_eq!((weighed.zero_mg, weighed.proven), (Some(0.0), Some(true)));
-    assert_eq!((weighed.in_flight_mg, weighed.cause.clone(), weighed.must_look), (Some(0.0), None, false));
-    assert!(weighed.below_minimum_weight && weighed.below_class_minimum_weight, "no 10 mg on a balance of 1 mg");
-    assert!((0.8..1.0).contains(&weighed.uncertainty_mg) && weighed.seconds > 10.0 && weighed.ticks.len() == 6);
+    assert_eq!(
+        (weighed.in_flight_mg, weighed.cause.clone(), weighed.must_look),
+        (Some(0.0), None, false)
+    );
+    assert!(
+        weighed.below_minimum_weight && weighed.below_class_minimum_weight,
+        "no 10 mg on a balance of 1 mg"
+    );
+    assert!(
+        (0.8..1.0).contains(&weighed.uncertainty_mg)
+            && weighed.seconds > 10.0
+            && weighed.ticks.len() == 6
+    );
     assert!(bench.is_safe());
 }
 
@@ -109,7 +135,10 @@ fn masses_decide_how_a_dose_ends() {
         let mut bench = Scripted::giving(&gives_mg);
         let weighed = weigh_on(&mut bench, &Rules::FLIP);
         assert_eq!((weighed.outcome, bench.count(Call::Act)), (outcome, acts), "{gives_mg:?}");
-        assert!(bench.is_safe() && !weighed.must_look && bench.count(Call::Discard) == 1, "{gives_mg:?}");
+        assert!(
+            bench.is_safe() && !weighed.must_look && bench.count(Call::Discard) == 1,
+            "{gives_mg:?}"
+        );
     }
 }
 
@@ -118,7 +147,15 @@ fn a_blocked_spoon_is_said_so() {
     let mut bench = Scripted::giving(&[0.0]);
     let rules = Rules { steps_max: 30, ..Rules::FLIP };
     let go = AtomicBool::new(false);
-    let weighed = weigh(&mut bench, &shaker(50.0, 16.0), &rules, &ORDER, &BLIND, |_| ControlFlow::Continue(()), &go);
+    let weighed = weigh(
+        &mut bench,
+        &shaker(50.0, 16.0),
+        &rules,
+        &ORDER,
+        &BLIND,
+        |_| ControlFlow::Continue(()),
+        &go,
+    );
     assert_eq!((weighed.outcome, weighed.shakes), (Outcome::Blocked, 3));
     assert!(bench.is_safe() && weighed.cause.unwrap().contains("blocked"));
 }
@@ -126,7 +163,8 @@ fn a_blocked_spoon_is_said_so() {
 #[test]
 fn a_display_that_dies_hides_one_shake_and_a_person_is_called() {
     for dies_at in 0..5 {
-        let mut bench = Scripted { display: Display::dying_at(dies_at), ..Scripted::giving(&[2.0]) };
+        let mut bench =
+            Scripted { display: Display::dying_at(dies_at), ..Scripted::giving(&[2.0]) };
         let weighed = weigh_on(&mut bench, &Rules::PAPER);
         assert_eq!((weighed.outcome, weighed.must_look), (Outcome::Aborted, true), "{dies_at}");
         let cause = weighed.cause.unwrap();
@@ -135,22 +173,37 @@ fn a_display_that_dies_hides_one_shake_and_a_person_is_called() {
         // nothing shows otherwise.
         assert_eq!((weighed.reading_mg, bench.mass_mg), (None, 2.0 * f64::from(dies_at + 1)));
         assert!(cause.contains(&format!("last showed {} mg", 2 * dies_at)), "{cause}");
-        assert!((60..63).contains(&bench.count(Call::Life)) && bench.count(Call::Discard) == 0, "{dies_at}");
+        assert!(
+            (60..63).contains(&bench.count(Call::Life)) && bench.count(Call::Discard) == 0,
+            "{dies_at}"
+        );
     }
 }
 
 #[test]
 fn a_sound_display_is_waited_for_where_a_shake_changed_nothing_on_it_and_only_there() {
-    for (gives_mg, waits) in [(&[2.0][..], 0), (&[0.1, 0.1, 3.0, 0.1, 7.0][..], 3), (&[0.0][..], 10)] {
+    for (gives_mg, waits) in
+        [(&[2.0][..], 0), (&[0.1, 0.1, 3.0, 0.1, 7.0][..], 3), (&[0.0][..], 10)]
+    {
         let mut bench = Scripted { display: Display::dying_at(99), ..Scripted::giving(gives_mg) };
         let weighed = weigh_on(&mut bench, &Rules::FLIP);
         assert_eq!((bench.count(Call::Life), weighed.must_look), (waits, false), "{gives_mg:?}");
-        assert!(matches!(weighed.outcome, Outcome::Within | Outcome::Under), "{:?}", weighed.outcome);
+        assert!(
+            matches!(weighed.outcome, Outcome::Within | Outcome::Under),
+            "{:?}",
+            weighed.outcome
+        );
     }
     // No waiting where a display stays constant for minutes when all is well.
     let mut bench = Scripted { display: Display::dying_at(2), ..Scripted::giving(&[2.0]) };
     let settings = Settings { life_s: 0.0, ..BLIND };
-    hear(&mut bench, &Rules::FLIP, &settings, |_| ControlFlow::Continue(()), &AtomicBool::new(false));
+    hear(
+        &mut bench,
+        &Rules::FLIP,
+        &settings,
+        |_| ControlFlow::Continue(()),
+        &AtomicBool::new(false),
+    );
     assert_eq!((bench.count(Call::Life), bench.count(Call::Act)), (0, 10));
 }
 
@@ -163,11 +216,16 @@ fn what_a_shake_gave_is_not_forgotten_where_an_incline_came_before_the_sign_of_l
     let order = Order { target_mg: 20.0, ..ORDER };
     let steps = [8.0, 24.0].map(|pitch_deg| ScheduledStep { pitch_deg, shake_mm: 16.0 });
     let controller = Controller::Schedule(Schedule { steps: steps.to_vec() });
-    let settings = Settings { forecast: Some(Forecast { first_chance: 0.0, ..Forecast::GENERIC }), ..Settings::BENCH };
+    let settings = Settings {
+        forecast: Some(Forecast { first_chance: 0.0, ..Forecast::GENERIC }),
+        ..Settings::BENCH
+    };
     let (mut second, mut pitch_deg) = (None, 0.0);
     let watch = |event: &Event<'_>| {
         match event {
-            Event::Decision(Decision { step: 3, allowed: Some(action), .. }) => second = Some(*action),
+            Event::Decision(Decision { step: 3, allowed: Some(action), .. }) => {
+                second = Some(*action)
+            }
             Event::Tick(tick) if tick.step == 2 => pitch_deg = tick.pitch_deg,
             _ => {}
         }
@@ -189,7 +247,10 @@ fn a_stop_is_heard_while_a_sign_of_life_is_waited_for() {
     let display = Display::dying_at(0);
     let mut bench = Scripted { display, stops_in_life: Some(&STOP), ..Scripted::giving(&[2.0]) };
     let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, |_| ControlFlow::Continue(()), &STOP);
-    assert_eq!((weighed.outcome, bench.count(Call::Life), bench.is_safe()), (Outcome::Stopped, 1, true));
+    assert_eq!(
+        (weighed.outcome, bench.count(Call::Life), bench.is_safe()),
+        (Outcome::Stopped, 1, true)
+    );
 }
 
 /// A fault at a call: the spoon is level and away or a person is called, and nothing acts after it.
@@ -204,11 +265,22 @@ fn check(call: Call, at: u32, fault: Fault) -> Weighed {
     });
     let hit = hit.unwrap_or_else(|| panic!("{case}: never came to it"));
     let motions = [Call::Act, Call::Approach, Call::Tare, Call::Discard];
-    assert!(bench.calls[hit + 1..].iter().all(|it| !motions.contains(it)), "{case}: {:?}", bench.calls);
-    assert_eq!((bench.count(Call::Level), bench.calls.contains(&Call::Retract)), (1, call != Call::Level), "{case}");
+    assert!(
+        bench.calls[hit + 1..].iter().all(|it| !motions.contains(it)),
+        "{case}: {:?}",
+        bench.calls
+    );
+    assert_eq!(
+        (bench.count(Call::Level), bench.calls.contains(&Call::Retract)),
+        (1, call != Call::Level),
+        "{case}"
+    );
     assert!(bench.is_safe() || weighed.must_look, "{case}");
     assert!(weighed.cause.as_deref().is_some_and(|cause| cause.len() > 10), "{case}");
-    assert!(weighed.reading_mg.is_none_or(f64::is_finite) && weighed.uncertainty_mg.is_finite(), "{case}");
+    assert!(
+        weighed.reading_mg.is_none_or(f64::is_finite) && weighed.uncertainty_mg.is_finite(),
+        "{case}"
+    );
     let has_none = weighed.outcome == Outcome::Aborted || weighed.ticks.is_empty();
     assert_eq!(weighed.reading_mg.is_none(), has_none, "{case}: {:?}", weighed.reading_mg);
     weighed
@@ -229,9 +301,11 @@ fn a_device_that_fails_at_any_call_aborts_and_a_person_is_called() {
             for fault in [Fault::Silent, Fault::Panics] {
                 let weighed = check(call, at, fault);
                 // Powder that cannot be returned does not change the dose.
-                let outcome = if call == Call::Discard { Outcome::Within } else { Outcome::Aborted };
+                let outcome =
+                    if call == Call::Discard { Outcome::Within } else { Outcome::Aborted };
                 assert_eq!(weighed.outcome, outcome, "{fault:?} at {call:?} {at}");
-                let looks = fault == Fault::Silent || matches!(call, Call::Level | Call::Retract | Call::Discard);
+                let looks = fault == Fault::Silent
+                    || matches!(call, Call::Level | Call::Retract | Call::Discard);
                 assert_eq!(weighed.must_look, looks, "{fault:?} at {call:?} {at}");
             }
         }
@@ -248,7 +322,11 @@ fn a_reading_that_cannot_be_trusted_ends_the_dose_by_its_name() {
         ] {
             let weighed = check(Call::Read, at, fault);
             assert_eq!((weighed.outcome, weighed.must_look), (outcome, false), "{fault:?} at {at}");
-            assert_eq!(check(Call::Stand, 1, fault).outcome, outcome, "{fault:?} at the final reading");
+            assert_eq!(
+                check(Call::Stand, 1, fault).outcome,
+                outcome,
+                "{fault:?} at the final reading"
+            );
         }
     }
 }
@@ -259,11 +337,18 @@ fn a_balance_that_began_anew_in_the_dose_is_not_believed() {
     // turns out at the end to be another one.
     for at in 1..7 {
         let weighed = check(Call::Read, at, Fault::Untared);
-        assert_eq!((weighed.outcome, weighed.must_look, weighed.reading_mg), (Outcome::Aborted, true, None), "{at}");
+        assert_eq!(
+            (weighed.outcome, weighed.must_look, weighed.reading_mg),
+            (Outcome::Aborted, true, None),
+            "{at}"
+        );
         assert!(weighed.cause.unwrap().contains("restarted"), "{at}");
     }
     let weighed = check(Call::Same, 0, Fault::Untared);
-    assert_eq!((weighed.outcome, weighed.must_look, weighed.reading_mg), (Outcome::Aborted, true, None));
+    assert_eq!(
+        (weighed.outcome, weighed.must_look, weighed.reading_mg),
+        (Outcome::Aborted, true, None)
+    );
 }
 
 #[test]
@@ -289,9 +374,19 @@ fn mass_that_comes_without_a_shake_aborts() {
     let mut bench = Scripted::with(Call::Read, 2, Fault::Draught);
     let go = AtomicBool::new(false);
     // Two inclines before the first shake.
-    let weighed =
-        weigh(&mut bench, &shaker(16.0, 5.0), &Rules::FLIP, &ORDER, &BLIND, |_| ControlFlow::Continue(()), &go);
-    assert_eq!((weighed.outcome, bench.count(Call::Act), bench.is_safe()), (Outcome::Aborted, 1, true));
+    let weighed = weigh(
+        &mut bench,
+        &shaker(16.0, 5.0),
+        &Rules::FLIP,
+        &ORDER,
+        &BLIND,
+        |_| ControlFlow::Continue(()),
+        &go,
+    );
+    assert_eq!(
+        (weighed.outcome, bench.count(Call::Act), bench.is_safe()),
+        (Outcome::Aborted, 1, true)
+    );
     assert!(weighed.cause.unwrap().contains("without a shake"));
 }
 
@@ -309,7 +404,10 @@ fn a_balance_that_is_restless_before_the_dose_does_not_hold_it_up() {
 fn what_falls_while_the_spoon_is_levelled_is_told_and_judged() {
     let mut bench = Scripted { late_mg: 4.0, ..Scripted::giving(&[2.0]) };
     let weighed = weigh_on(&mut bench, &Rules::FLIP);
-    assert_eq!((weighed.outcome, weighed.reading_mg, weighed.in_flight_mg), (Outcome::Over, Some(14.0), Some(4.0)));
+    assert_eq!(
+        (weighed.outcome, weighed.reading_mg, weighed.in_flight_mg),
+        (Outcome::Over, Some(14.0), Some(4.0))
+    );
 }
 
 #[test]
@@ -341,14 +439,19 @@ fn what_cannot_be_recorded_does_not_move_and_neither_does_what_panics() {
             let mut bench = Scripted::giving(&[2.0]);
             let (mut heard, mut acts) = (0, 0);
             let refuse = |event: &Event<'_>| {
-                acts += u32::from(matches!(event, Event::Tick(tick) if tick.step > 0 && heard <= n));
+                acts +=
+                    u32::from(matches!(event, Event::Tick(tick) if tick.step > 0 && heard <= n));
                 heard += 1;
                 assert!(!panics || heard <= n, "a bug");
                 if heard > n { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             };
             let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, refuse, &AtomicBool::new(false));
             assert_eq!((weighed.outcome, bench.count(Call::Act)), (Outcome::Aborted, acts), "{n}");
-            assert_eq!((bench.is_safe(), bench.count(Call::Retract), bench.count(Call::Discard)), (true, 1, 0), "{n}");
+            assert_eq!(
+                (bench.is_safe(), bench.count(Call::Retract), bench.count(Call::Discard)),
+                (true, 1, 0),
+                "{n}"
+            );
         }
     }
 }

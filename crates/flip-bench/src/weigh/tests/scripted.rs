@@ -134,7 +134,9 @@ impl Scripted {
 
     fn shown(&mut self, fault: Option<Fault>) -> Reading {
         let (is_dead, now_s, mass_mg) = (self.is_dead(), self.elapsed_s(), self.mass_mg.round());
-        if let Some(display) = self.display.as_mut().filter(|display| !is_dead && display.shown_mg != mass_mg) {
+        if let Some(display) =
+            self.display.as_mut().filter(|display| !is_dead && display.shown_mg != mass_mg)
+        {
             (display.shown_mg, display.lived_s) = (mass_mg, now_s);
         }
         let mass_mg = match fault {
@@ -172,7 +174,8 @@ impl Bench for Scripted {
             reading.mass_mg += VIAL_MG;
         }
         let seen = [Moment { t_s: self.elapsed_s(), mass_mg: reading.mass_mg }];
-        let rest = Rest::of(&seen).unwrap_or(Rest { mean_mg: f64::NAN, last_mg: f64::NAN, ..NOTHING });
+        let rest =
+            Rest::of(&seen).unwrap_or(Rest { mean_mg: f64::NAN, last_mg: f64::NAN, ..NOTHING });
         Ok(Standing { reading, still, drift_mg_min: 1.0, scatter_mg: 0.1, seconds, rest })
     }
     fn readings(&mut self, _seconds: f64) -> Result<Vec<Moment>, DeviceError> {
@@ -182,7 +185,10 @@ impl Bench for Scripted {
     }
     fn is_the_same(&mut self) -> Result<(), DeviceError> {
         match self.called(Call::Same)? {
-            Some(_) => Err(DeviceError::Faulted { device: "the balance", cause: "it was switched on anew".into() }),
+            Some(_) => Err(DeviceError::Faulted {
+                device: "the balance",
+                cause: "it was switched on anew".into(),
+            }),
             None => Ok(()),
         }
     }

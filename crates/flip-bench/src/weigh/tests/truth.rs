@@ -20,7 +20,8 @@ struct Like {
     drift_mg_min: f64,
 }
 
-const WANDERING: Like = Like { step_mg: 1.0, wander_mg: 0.5, noise_mg: 0.1, memory_s: 6.0, drift_mg_min: 0.0 };
+const WANDERING: Like =
+    Like { step_mg: 1.0, wander_mg: 0.5, noise_mg: 0.1, memory_s: 6.0, drift_mg_min: 0.0 };
 
 struct Wandering {
     like: Like,
@@ -65,7 +66,8 @@ impl Wandering {
     fn pass(&mut self, seconds: f64) {
         self.now_s += seconds;
         let kept = libm::exp(-seconds / self.like.memory_s);
-        self.wander_mg = kept * self.wander_mg + self.like.wander_mg * (1.0 - kept * kept).sqrt() * self.normal();
+        self.wander_mg = kept * self.wander_mg
+            + self.like.wander_mg * (1.0 - kept * kept).sqrt() * self.normal();
     }
 
     fn felt_mg(&self) -> f64 {
@@ -157,7 +159,8 @@ fn doses(like: Like) -> Vec<(f64, f64, f64)> {
         .map(|seed| {
             let mut bench = Wandering::new(like, derive(7, &[seed]));
             let on_event = |_: &Event<'_>| ControlFlow::Continue(());
-            let weighed = weigh(&mut bench, &shaker(8.0, 5.0), &rules, &order, &BLIND, on_event, &go);
+            let weighed =
+                weigh(&mut bench, &shaker(8.0, 5.0), &rules, &order, &BLIND, on_event, &go);
             (weighed.reading_mg.unwrap(), weighed.uncertainty_mg, bench.poured_mg)
         })
         .collect()
@@ -178,7 +181,10 @@ fn fewest_of_95_percent(n: u64) -> usize {
 
 fn covered(like: Like) -> (usize, f64, f64) {
     let all = doses(like);
-    let holds = all.iter().filter(|(reading_mg, u_mg, true_mg)| (reading_mg - true_mg).abs() <= *u_mg).count();
+    let holds = all
+        .iter()
+        .filter(|(reading_mg, u_mg, true_mg)| (reading_mg - true_mg).abs() <= *u_mg)
+        .count();
     let error_mg = median(all.iter().map(|(reading_mg, _, true_mg)| (reading_mg - true_mg).abs()));
     (holds, median(all.iter().map(|it| it.1)), error_mg)
 }
@@ -200,9 +206,13 @@ fn the_uncertainty_holds_the_truth_and_is_no_tens_of_times_too_large() {
 #[test]
 fn a_drift_that_readings_can_prove_is_in_the_uncertainty() {
     for step_mg in [0.1, 0.01] {
-        let like = Like { step_mg, wander_mg: 0.05, noise_mg: 0.02, drift_mg_min: 3.0, ..WANDERING };
+        let like =
+            Like { step_mg, wander_mg: 0.05, noise_mg: 0.02, drift_mg_min: 3.0, ..WANDERING };
         let (holds, u_mg, error_mg) = covered(like);
-        assert!(holds >= fewest_of_95_percent(DOSES) && error_mg > 1.0, "{like:?}: {holds} of {DOSES}, {u_mg} mg");
+        assert!(
+            holds >= fewest_of_95_percent(DOSES) && error_mg > 1.0,
+            "{like:?}: {holds} of {DOSES}, {u_mg} mg"
+        );
     }
 }
 
@@ -213,5 +223,8 @@ fn a_dose_does_not_end_short_because_the_display_wandered_up() {
     // Rounding leaves half a step of "on target"; the reading itself is unbiased (SD 0.5 mg over
     // 200: four standard errors are 0.14 mg).
     let (short_mg, bias_mg) = (mean(|it| 10.0 - it.2), mean(|it| it.0 - it.2));
-    assert!(short_mg <= 0.5 && bias_mg.abs() <= 0.15, "short by {short_mg} mg, bias of the reading {bias_mg} mg");
+    assert!(
+        short_mg <= 0.5 && bias_mg.abs() <= 0.15,
+        "short by {short_mg} mg, bias of the reading {bias_mg} mg"
+    );
 }

@@ -51,7 +51,11 @@ impl<const D: usize> GaussianProcess<D> {
     ///
     /// # Errors
     /// [`GaussianProcessError`]
-    pub fn fit(inputs: &[[f64; D]], outputs: &[f64], prior: &Prior) -> Result<Self, GaussianProcessError> {
+    pub fn fit(
+        inputs: &[[f64; D]],
+        outputs: &[f64],
+        prior: &Prior,
+    ) -> Result<Self, GaussianProcessError> {
         Self::fit_with_noise(inputs, outputs, &vec![1.0; inputs.len()], prior)
     }
 
@@ -76,13 +80,16 @@ impl<const D: usize> GaussianProcess<D> {
         let spread = summary::sd(outputs).filter(|s| *s > 0.0).unwrap_or(1.0);
         let scaled: Vec<f64> = outputs.iter().map(|y| (y - centre) / spread).collect();
         let ends = [1.0 / 3.0, 1.0, 3.0].map(|stretch| {
-            let start =
-                prior.entries::<D>().enumerate().map(|(j, (median, _))| if j < D { median * stretch } else { median });
+            let start = prior
+                .entries::<D>()
+                .enumerate()
+                .map(|(j, (median, _))| if j < D { median * stretch } else { median });
             let start = DVector::from_iterator(D + 2, start.map(f64::ln));
             minimise(|theta| objective(inputs, &scaled, noise, theta, prior), start, 1.0, 60)
         });
         let finite = ends.into_iter().filter(|end| end.1.is_finite());
-        let best = finite.min_by(|a, b| a.1.total_cmp(&b.1)).ok_or(GaussianProcessError::Singular)?;
+        let best =
+            finite.min_by(|a, b| a.1.total_cmp(&b.1)).ok_or(GaussianProcessError::Singular)?;
         let mut h = from_theta::<D>(&best.0);
         h.signal_sd *= spread;
         h.noise_sd *= spread;
@@ -111,7 +118,9 @@ pub fn objective<const D: usize>(
     let n = inputs.len();
     let h = from_theta::<D>(theta);
     let undefined = (f64::INFINITY, DVector::zeros(D + 2));
-    let Some(factor) = factorise(super::covariance(inputs, noise, &h), h.signal_sd.powi(2)) else { return undefined };
+    let Some(factor) = factorise(super::covariance(inputs, noise, &h), h.signal_sd.powi(2)) else {
+        return undefined;
+    };
     let y = DVector::from_column_slice(scaled);
     let weights = factor.solve(&y);
     let log_determinant = 2.0 * factor.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();

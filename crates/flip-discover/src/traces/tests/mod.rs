@@ -56,7 +56,10 @@ fn rates(bench: Bench, right: &str, seeds: std::ops::Range<u64>) -> Rates {
         let best = &screening.judged[0];
         let (name, is_found) = (best.mechanism.name().0, screening.p_value <= 0.05);
         let is_claimed = is_found && best.probability >= CONFIDENT;
-        assert!(screening.white || name == "unknown", "{name} leaves what is not white and keeps its name");
+        assert!(
+            screening.white || name == "unknown",
+            "{name} leaves what is not white and keeps its name"
+        );
         rates += Rates {
             found: u32::from(is_found),
             named: u32::from(is_claimed && name == right),
@@ -85,7 +88,10 @@ fn where_nothing_is_wrong_little_is_found() {
     // Of 8, five have a chance of 1 in 60 000 (binomial at 5 %); of more benches, the limit is 4 SD
     // too many.
     let n = f64::from(all.count);
-    assert!(f64::from(all.found) <= (0.05 * n + 4.0 * (0.05 * 0.95 * n).sqrt()).max(4.0), "{all:?}");
+    assert!(
+        f64::from(all.found) <= (0.05 * n + 4.0 * (0.05 * 0.95 * n).sqrt()).max(4.0),
+        "{all:?}"
+    );
     assert!(f64::from(all.wrong) <= 0.06 * n + 1.0, "{all:?}");
 }
 
@@ -100,7 +106,10 @@ fn hidden_causes_are_found_and_named_and_what_is_outside_the_catalogue_is_not() 
     let share = |count: u32| f64::from(count) / f64::from(all.count);
     // The targets, less one bench of 21. A detector that always names the same cause is right in
     // two of 21.
-    assert!(share(all.found) >= 0.90 && share(all.named) >= 0.80 && share(all.wrong) <= 0.05, "{all:?}");
+    assert!(
+        share(all.found) >= 0.90 && share(all.named) >= 0.80 && share(all.wrong) <= 0.05,
+        "{all:?}"
+    );
 }
 
 #[test]
@@ -114,14 +123,22 @@ fn sparse_readings_and_no_controls_still_show_a_drift_and_a_spoon() {
     for weighing in &mut all.weighings {
         let mut last = None;
         weighing.readings.reverse();
-        weighing.readings.retain(|reading| std::mem::replace(&mut last, reading.shake_index) != reading.shake_index);
+        weighing.readings.retain(|reading| {
+            std::mem::replace(&mut last, reading.shake_index) != reading.shake_index
+        });
         weighing.readings.reverse();
     }
     let screening = screen_traces(&all, &SETTINGS).unwrap();
     assert!(screening.p_value <= 0.05);
     assert_eq!(screening.judged[0].mechanism, TraceCause::Known(TraceMechanism::SpoonHoldup));
-    let reason = screening.untestable.iter().find(|(mechanism, _)| *mechanism == TraceMechanism::BalanceDrift);
-    assert_eq!(reason.map(|(_, reason)| reason.as_str()), Some("fewer than 2 readings follow each shake"));
+    let reason = screening
+        .untestable
+        .iter()
+        .find(|(mechanism, _)| *mechanism == TraceMechanism::BalanceDrift);
+    assert_eq!(
+        reason.map(|(_, reason)| reason.as_str()),
+        Some("fewer than 2 readings follow each shake")
+    );
 }
 
 #[test]
@@ -132,10 +149,20 @@ fn what_was_not_recorded_cannot_be_blamed_and_the_reason_is_given() {
     }
     let screening = screen_traces(&all, &SETTINGS).unwrap();
     let reason = |mechanism: TraceMechanism| {
-        screening.untestable.iter().find(|(known, _)| *known == mechanism).map(|(_, reason)| reason.as_str())
+        screening
+            .untestable
+            .iter()
+            .find(|(known, _)| *known == mechanism)
+            .map(|(_, reason)| reason.as_str())
     };
-    assert_eq!(reason(TraceMechanism::SpoonHoldup), Some("shake_index was not recorded in 40 doses"));
-    assert_eq!(reason(TraceMechanism::MassUptake), Some("shake_index was not recorded in 40 doses"));
+    assert_eq!(
+        reason(TraceMechanism::SpoonHoldup),
+        Some("shake_index was not recorded in 40 doses")
+    );
+    assert_eq!(
+        reason(TraceMechanism::MassUptake),
+        Some("shake_index was not recorded in 40 doses")
+    );
     assert_eq!(reason(TraceMechanism::VibrationNoise), Some("vibration_rms_m_s2 was not recorded"));
     assert_eq!(reason(TraceMechanism::BalanceDrift), None, "controls show a drift");
     assert_eq!(reason(TraceMechanism::BalanceLag), None, "a standard's step shows a lag");
@@ -151,18 +178,30 @@ fn a_spoon_that_empties_is_blamed_on_nothing_where_its_fill_was_not_recorded() {
         }
         let screening = screen_traces(&all, &SETTINGS).unwrap();
         let spoon = ["spoon_holdup", "fill_level", "densification", "actuator"];
-        assert!(screening.judged.iter().all(|it| !spoon.contains(&it.mechanism.name().0)), "{hidden:?}");
+        assert!(
+            screening.judged.iter().all(|it| !spoon.contains(&it.mechanism.name().0)),
+            "{hidden:?}"
+        );
         let reasons = screening.untestable.iter().filter(|(it, _)| spoon.contains(&it.name().0));
-        assert!(reasons.clone().all(|(_, why)| why == "spoon_fill_mg was not recorded") && reasons.count() == 4);
+        assert!(
+            reasons.clone().all(|(_, why)| why == "spoon_fill_mg was not recorded")
+                && reasons.count() == 4
+        );
         let why = screening.unjudged.unwrap();
-        assert!(why.why.contains("empties and packs by itself") && why.doses == 19 * 40, "{}", why.why);
+        assert!(
+            why.why.contains("empties and packs by itself") && why.doses == 19 * 40,
+            "{}",
+            why.why
+        );
     }
 }
 
 #[test]
 fn what_wanders_more_than_simulated_shakes_do_follows_no_law() {
     // Of a hundred simulated sets none wanders as this one does, or many do.
-    assert!(super::shakes::is_rare(&[4.0, 1.0, -2.0].iter().copied().chain([0.0; 97]).collect::<Vec<_>>()));
+    assert!(super::shakes::is_rare(
+        &[4.0, 1.0, -2.0].iter().copied().chain([0.0; 97]).collect::<Vec<_>>()
+    ));
     assert!(!super::shakes::is_rare(&[1.0; 100]));
     assert!(
         !super::shakes::is_rare(&[-1.0].iter().copied().chain([-3.0; 99]).collect::<Vec<_>>()),
@@ -172,11 +211,17 @@ fn what_wanders_more_than_simulated_shakes_do_follows_no_law() {
 
 #[test]
 fn sizes_are_estimated_with_their_intervals() {
-    let of = |hidden| screen_traces(&traces(Bench::new(hidden, 0.1), 2), &SETTINGS).unwrap().judged.swap_remove(0);
+    let of = |hidden| {
+        screen_traces(&traces(Bench::new(hidden, 0.1), 2), &SETTINGS).unwrap().judged.swap_remove(0)
+    };
     let drift = &of(Hidden::Drift).parameters[0];
     // Days drift by 0.015 mg/s on average, SD 0.008 over eight of them, faster by the minute.
     assert_eq!((drift.name, drift.unit), ("rate", "mg/s"));
-    assert!((0.005..0.03).contains(&drift.value) && drift.low95 < drift.value && drift.value < drift.high95);
+    assert!(
+        (0.005..0.03).contains(&drift.value)
+            && drift.low95 < drift.value
+            && drift.value < drift.high95
+    );
     let lag = &of(Hidden::Lag).parameters[1];
     // Two filters of 0.35 s in turn.
     assert!(lag.name == "time_constant" && (0.3..1.0).contains(&lag.value), "{lag:?}");
@@ -202,8 +247,14 @@ fn traces_that_say_nothing_are_refused() {
     };
     assert_eq!(refused(&|all| all.weighings.truncate(0)), "traces");
     assert_eq!(refused(&|all| all.weighings[0].readings[7].t_s = -1.0), "w0[7].t_s");
-    assert_eq!(refused(&|all| all.weighings[1].readings[3].balance_mg = f64::NAN), "w1[3].balance_mg");
-    assert_eq!(refused(&|all| all.weighings[0].readings[20].shake_index = Some(0)), "w0[20].shake_index");
+    assert_eq!(
+        refused(&|all| all.weighings[1].readings[3].balance_mg = f64::NAN),
+        "w1[3].balance_mg"
+    );
+    assert_eq!(
+        refused(&|all| all.weighings[0].readings[20].shake_index = Some(0)),
+        "w0[20].shake_index"
+    );
     let flat = |all: &mut Traces| {
         all.weighings
             .iter_mut()
@@ -216,15 +267,21 @@ fn traces_that_say_nothing_are_refused() {
         all.weighings[0].readings.truncate(READINGS_MIN - 1);
     };
     assert_eq!(refused(&few), "traces");
-    assert_eq!(screen_traces(&all, &Settings { simulations: 98, ..SETTINGS }).unwrap_err().field, "simulations");
+    assert_eq!(
+        screen_traces(&all, &Settings { simulations: 98, ..SETTINGS }).unwrap_err().field,
+        "simulations"
+    );
 }
 
 #[test]
 fn evidence_in_blocks_is_that_of_the_mixed_model() {
     let blocks = [0..4, 4..9, 9..12];
-    let log: Vec<usize> = blocks.iter().enumerate().flat_map(|(b, block)| vec![b; block.len()]).collect();
+    let log: Vec<usize> =
+        blocks.iter().enumerate().flat_map(|(b, block)| vec![b; block.len()]).collect();
     let entry = |i: usize, k: usize| ((i * 7 + k * 13 + i * i * k) as f64 * 0.37).sin();
-    let own = |b: usize| DMatrix::from_fn(blocks[b].len(), 2, |i, k| if k == 0 { 1.0 } else { entry(i, 3) });
+    let own = |b: usize| {
+        DMatrix::from_fn(blocks[b].len(), 2, |i, k| if k == 0 { 1.0 } else { entry(i, 3) })
+    };
     let all = DMatrix::from_fn(12, 2, |i, k| entry(i, 5 + k));
     // The same fixed part, written out.
     let mut fixed = DMatrix::zeros(12, 8);
@@ -234,7 +291,8 @@ fn evidence_in_blocks_is_that_of_the_mixed_model() {
     fixed.view_mut((0, 6), (12, 2)).copy_from(&all);
     let observed = DMatrix::from_fn(12, 1, |i, _| entry(i, 1));
     // A course in which the first two weighings and the third differ.
-    let (group, course): (Vec<usize>, Vec<f64>) = (0..12).map(|i| (usize::from(i >= 9), entry(i, 9))).unzip();
+    let (group, course): (Vec<usize>, Vec<f64>) =
+        (0..12).map(|i| (usize::from(i >= 9), entry(i, 9))).unzip();
     let features = DMatrix::from_fn(12, 3, |i, k| match k {
         0 => course[i],
         k if group[i] + 1 == k => 0.3 * course[i],
@@ -249,10 +307,16 @@ fn evidence_in_blocks_is_that_of_the_mixed_model() {
         let seen = ours.apply(&observed);
         let squares = seen.norm_squared();
         let signature = ours.course(&course, &group, &seen).signature(Some(0.3)).unwrap();
-        let theirs = mixed_model::Whitening::new(&[1.0; 12], &[Group { of: &log, ratio }], &fixed).unwrap();
+        let theirs =
+            mixed_model::Whitening::new(&[1.0; 12], &[Group { of: &log, ratio }], &fixed).unwrap();
         let other = theirs.signature(&features).unwrap();
-        let expected =
-            theirs.log_evidence(&other, other.seen(&observed).column(0), theirs.squares(&observed)[0], 0.6, &[]);
+        let expected = theirs.log_evidence(
+            &other,
+            other.seen(&observed).column(0),
+            theirs.squares(&observed)[0],
+            0.6,
+            &[],
+        );
         let null = (ours.log_null(squares), theirs.log_null(theirs.squares(&observed)[0]));
         [(ours.fit(&signature, 0, squares, 0.6, None).log_evidence, expected), null]
     };
@@ -270,7 +334,10 @@ fn noise_behind_a_display_is_found_again() {
     let (mut squares, mut count) = (0.0, 0.0);
     for load in (0..200).map(|k| f64::from(k) / 200.0) {
         let shown: Vec<f64> = (0..200)
-            .map(|k| (load + 0.2 * flip_core::stats::normal::quantile((f64::from(k) + 0.5) / 200.0)).round())
+            .map(|k| {
+                (load + 0.2 * flip_core::stats::normal::quantile((f64::from(k) + 0.5) / 200.0))
+                    .round()
+            })
             .collect();
         let mean = shown.iter().sum::<f64>() / 200.0;
         squares += shown.iter().map(|mg| (mg - mean).powi(2)).sum::<f64>();

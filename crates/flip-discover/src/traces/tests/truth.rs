@@ -47,8 +47,13 @@ impl Bench {
 }
 
 /// mg per shake of 8 mm, and its exponent of the amplitude.
-const POWDERS: [(&str, f64, f64); 5] =
-    [("sand", 2.2, 0.9), ("sugar", 1.6, 0.7), ("salt", 1.9, 1.0), ("semolina", 1.1, 1.2), ("bicarbonate", 0.9, 0.8)];
+const POWDERS: [(&str, f64, f64); 5] = [
+    ("sand", 2.2, 0.9),
+    ("sugar", 1.6, 0.7),
+    ("salt", 1.9, 1.0),
+    ("semolina", 1.1, 1.2),
+    ("bicarbonate", 0.9, 0.8),
+];
 
 struct Lab {
     rng: Pcg64,
@@ -114,14 +119,16 @@ impl Lab {
                     let behind = match self.bench.hidden {
                         // Two equal filters in series.
                         Hidden::Lag if moved => {
-                            (1.0 + x / (0.35 * self.bench.size)) * (-x / (0.35 * self.bench.size)).exp()
+                            (1.0 + x / (0.35 * self.bench.size))
+                                * (-x / (0.35 * self.bench.size)).exp()
                         }
                         Hidden::OwnFilter if moved => (-x / 0.16).exp(),
                         _ => 0.0,
                     };
                     shown += mg * (1.0 - behind);
                     if kind == Kind::Dose {
-                        shown += self.is(Hidden::Uptake) * 0.02 * mg * humid.powf(1.7) * x.powf(0.9);
+                        shown +=
+                            self.is(Hidden::Uptake) * 0.02 * mg * humid.powf(1.7) * x.powf(0.9);
                         shown -= self.is(Hidden::Evaporation)
                             * 0.008
                             * mg
@@ -130,16 +137,18 @@ impl Lab {
                             * (x / 40.0).ln_1p();
                         if j > 0 {
                             let dry = (-(day.humidity - 20.0).max(0.0) / 15.0).exp();
-                            shown += self.is(Hidden::Static) * 0.8 * charge * dry / (1.0 + (x / 1.5).powi(2));
+                            shown += self.is(Hidden::Static) * 0.8 * charge * dry
+                                / (1.0 + (x / 1.5).powi(2));
                         }
                     }
                 }
                 shown += self.is(Hidden::Drift) * day.drift * (t + 0.002 * t * t);
-                let wave =
-                    day.waves.iter().map(|(a, period, phase)| a * (std::f64::consts::TAU * t / period + phase).sin());
+                let wave = day.waves.iter().map(|(a, period, phase)| {
+                    a * (std::f64::consts::TAU * t / period + phase).sin()
+                });
                 shown += self.is(Hidden::Wander) * wave.sum::<f64>();
-                *draught =
-                    *draught * (-every / 4.0).exp() + 0.3 * (1.0 - (-2.0 * every / 4.0).exp()).sqrt() * self.normal();
+                *draught = *draught * (-every / 4.0).exp()
+                    + 0.3 * (1.0 - (-2.0 * every / 4.0).exp()).sqrt() * self.normal();
                 shown += self.is(Hidden::Draught) * *draught;
                 let shaking = 1.0 + self.is(Hidden::Vibration) * (day.vibration / 0.012).powf(1.5);
                 shown += 0.1 * shaking * self.normal();
@@ -181,14 +190,21 @@ impl Lab {
             let before = fill;
             if shake > 0 {
                 pitch += self.rng.random_range(-1.0..2.0);
-                let executed =
-                    if self.is(Hidden::Actuator) > 0.0 { mm.powi(3) / (mm * mm + 20.0 * self.bench.size) } else { mm };
+                let executed = if self.is(Hidden::Actuator) > 0.0 {
+                    mm.powi(3) / (mm * mm + 20.0 * self.bench.size)
+                } else {
+                    mm
+                };
                 let mut mg = own
                     * (executed / 8.0).powf(exponent)
                     * (0.04 * (pitch - 10.0)).exp()
                     * (0.25 * self.normal()).exp();
                 let n = f64::from(shake);
-                mg *= if self.is(Hidden::Fill) > 0.0 { 1.8 * fill / (fill + 40.0 * self.bench.size) } else { 1.0 };
+                mg *= if self.is(Hidden::Fill) > 0.0 {
+                    1.8 * fill / (fill + 40.0 * self.bench.size)
+                } else {
+                    1.0
+                };
                 mg *= (-self.is(Hidden::Densification) * (n / 12.0).powf(0.7)).exp();
                 // A film takes up to 3 mg, more slowly the fuller it is.
                 let kept = self.is(Hidden::Holdup) * (3.0 - film) * (1.0 - (-mg / 3.0f64).exp());
@@ -199,7 +215,14 @@ impl Lab {
                 t += 0.6;
                 steps.push((t, mg, (0.3 * self.normal()).exp()));
             }
-            let shown = self.read(day, Kind::Dose, &steps, &mut draught, t + self.bench.every_s, self.bench.readings);
+            let shown = self.read(
+                day,
+                Kind::Dose,
+                &steps,
+                &mut draught,
+                t + self.bench.every_s,
+                self.bench.readings,
+            );
             t = shown[shown.len() - 1].0;
             readings.extend(shown.into_iter().map(|shown| Reading {
                 shake_index: Some(shake),
@@ -213,7 +236,14 @@ impl Lab {
             }
         }
         let (powder, session) = (Some(powder.to_owned()), Some(format!("day {}", day.session)));
-        Weighing { id: format!("w{id}"), powder, session, kind: Kind::Dose, target_mg: Some(target), readings }
+        Weighing {
+            id: format!("w{id}"),
+            powder,
+            session,
+            kind: Kind::Dose,
+            target_mg: Some(target),
+            readings,
+        }
     }
 
     fn control(&mut self, id: usize, day: &Day, kind: Kind) -> Weighing {

@@ -14,7 +14,9 @@ fn a_balance_that_adjusts_itself_gives_no_reading() {
         lab.balance.inject(Fault::Adjusting);
         for answer in [lab.driver.immediate(), lab.driver.stable(2.0), lab.driver.tare()] {
             match (dialect, answer.unwrap_err()) {
-                (Dialect::Sbi, DeviceError::Forbidden { cause, .. }) => assert!(cause.contains("adjusts itself")),
+                (Dialect::Sbi, DeviceError::Forbidden { cause, .. }) => {
+                    assert!(cause.contains("adjusts itself"))
+                }
                 (Dialect::Sbi, other) => panic!("{other}"),
                 (_, error) => assert!(matches!(error, DeviceError::Faulted { .. }), "{error}"),
             }
@@ -41,7 +43,10 @@ fn in_a_draught_waiting_ends_with_a_reading_that_says_it_is_not_stable() {
         let began_s = lab.balance.pan().clock().now_s();
         let sample = lab.driver.stable(4.0).unwrap();
         let waited_s = lab.balance.pan().clock().now_s() - began_s;
-        assert!(!sample.stable && (4.0..5.0).contains(&waited_s), "{dialect:?}: {sample:?} after {waited_s} s");
+        assert!(
+            !sample.stable && (4.0..5.0).contains(&waited_s),
+            "{dialect:?}: {sample:?} after {waited_s} s"
+        );
         let refused = lab.driver.tare().unwrap_err();
         assert!(words(&refused).contains("no stable reading"), "{dialect:?}: {refused}");
     }
@@ -58,16 +63,27 @@ fn damaged_answers_give_no_number_and_one_alone_is_asked_for_again() {
             for _ in 0..4 {
                 match lab.driver.immediate() {
                     // A space lost between words changes nothing.
-                    Ok(sample) => assert!(fault == Fault::GarbledLine && is_near(sample.mass_mg, 0.0), "{sample:?}"),
-                    Err(DeviceError::Lost { .. }) => panic!("{dialect:?} {fault:?}: nothing is unplugged"),
+                    Ok(sample) => assert!(
+                        fault == Fault::GarbledLine && is_near(sample.mass_mg, 0.0),
+                        "{sample:?}"
+                    ),
+                    Err(DeviceError::Lost { .. }) => {
+                        panic!("{dialect:?} {fault:?}: nothing is unplugged")
+                    }
                     Err(_) => {}
                 }
             }
             lab.balance.clear();
-            assert!(is_near(lab.driver.stable(5.0).unwrap().mass_mg, 0.0), "{dialect:?} after {fault:?}");
+            assert!(
+                is_near(lab.driver.stable(5.0).unwrap().mass_mg, 0.0),
+                "{dialect:?} after {fault:?}"
+            );
         }
         lab.balance.inject_for(Fault::NotANumber, 1);
-        assert!(is_near(lab.driver.immediate().unwrap().mass_mg, 0.0), "{dialect:?}: one damaged answer");
+        assert!(
+            is_near(lab.driver.immediate().unwrap().mass_mg, 0.0),
+            "{dialect:?}: one damaged answer"
+        );
     }
 }
 
@@ -104,7 +120,9 @@ fn a_restart_is_told_where_the_dialect_tells_it_and_shows_two_milligrams_where_i
         assert!(lab.driver.immediate().is_err(), "{dialect:?}");
         lab.wait_s(1.0);
         match (dialect, lab.driver.immediate()) {
-            (Dialect::MtSics, told) => assert!(words(&told.unwrap_err()).contains("switched on anew")),
+            (Dialect::MtSics, told) => {
+                assert!(words(&told.unwrap_err()).contains("switched on anew"))
+            }
             (_, shown) => assert!(is_near(shown.unwrap().mass_mg, 2.0), "{dialect:?}"),
         }
         lab.driver.tare().unwrap();
@@ -120,7 +138,10 @@ fn an_answer_that_comes_too_late_is_never_taken_for_a_later_one() {
         lab.driver.tare().unwrap();
         for (round, slow) in [(1.0, 1), (2.0, 3)] {
             lab.balance.inject_for(Fault::SlowReply, slow);
-            assert!(matches!(lab.driver.immediate(), Err(DeviceError::Silent { .. })), "{dialect:?}");
+            assert!(
+                matches!(lab.driver.immediate(), Err(DeviceError::Silent { .. })),
+                "{dialect:?}"
+            );
             lab.balance.pan().add_mg(50.0);
             lab.wait_s(5.0);
             // While replies are late there may be none; the first accepted one must belong to the

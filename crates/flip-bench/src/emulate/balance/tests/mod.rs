@@ -35,9 +35,12 @@ fn calm() -> Settings {
 fn lab_with(settings: Settings, socket: Socket, change: impl FnOnce(&mut driver::Settings)) -> Lab {
     let clock = Clock::standing();
     let dialect = settings.dialect;
-    let balance = Balance::start(settings.checked().unwrap(), Pan::holding(VIAL_MG, clock.clone()), socket).unwrap();
+    let balance =
+        Balance::start(settings.checked().unwrap(), Pan::holding(VIAL_MG, clock.clone()), socket)
+            .unwrap();
     // Replies come at once, so this is long enough on a busy machine.
-    let mut settings = driver::Settings { timeout_s: 0.6, ..driver::Settings::new(dialect, balance.address()) };
+    let mut settings =
+        driver::Settings { timeout_s: 0.6, ..driver::Settings::new(dialect, balance.address()) };
     change(&mut settings);
     let driver = driver::Balance::open(&settings.checked().unwrap(), Tap::none(), clock).unwrap();
     Lab { balance, driver }
@@ -79,12 +82,18 @@ fn every_verb_works_in_every_dialect_on_a_terminal_and_over_tcp() {
             assert!(!moving.stable && moving.mass_mg < 15.0, "{dialect:?}: {moving:?}");
             let net = lab.driver.stable(5.0).unwrap();
             assert!(net.stable && is_near(net.mass_mg, 15.0), "{dialect:?}: {net:?}");
-            assert!(net.t_s > moving.t_s + 1.0 && net.raw.contains("0.015") | net.raw.contains("0.014"), "{net:?}");
+            assert!(
+                net.t_s > moving.t_s + 1.0 && net.raw.contains("0.015") | net.raw.contains("0.014"),
+                "{net:?}"
+            );
 
             lab.balance.pan().add_mg(-VIAL_MG - 15.0);
             lab.wait_s(5.0);
             let zero = lab.driver.zero().unwrap();
-            assert!(is_near(zero.mass_mg, 0.0) && lab.balance.tare_mg() == 0.0, "{dialect:?}: {zero:?}");
+            assert!(
+                is_near(zero.mass_mg, 0.0) && lab.balance.tare_mg() == 0.0,
+                "{dialect:?}: {zero:?}"
+            );
             let Identity { model, serial, software, .. } = lab.driver.identify().unwrap();
             assert!(serial.is_some() && (model.is_some() || software.is_some()), "{dialect:?}");
         }
@@ -95,11 +104,19 @@ fn every_verb_works_in_every_dialect_on_a_terminal_and_over_tcp() {
 fn displays_of_tenths_and_in_mg_and_kg_are_read_without_loss() {
     use crate::hardware::balance::value::Unit;
     for dialect in Dialect::ALL {
-        for (unit, readability_mg) in [(Unit::Milligram, 0.1), (Unit::Gram, 0.1), (Unit::Kilogram, 1.0)] {
+        for (unit, readability_mg) in
+            [(Unit::Milligram, 0.1), (Unit::Gram, 0.1), (Unit::Kilogram, 1.0)]
+        {
             let settings = Settings { dialect, unit, readability_mg, noise_mg: 0.0, ..calm() };
-            let mut lab = lab_with(settings, Socket::Pty, |settings| settings.readability_mg = Some(readability_mg));
+            let mut lab = lab_with(settings, Socket::Pty, |settings| {
+                settings.readability_mg = Some(readability_mg)
+            });
             let shown = lab.driver.stable(5.0).unwrap().mass_mg;
-            assert_eq!(shown, if readability_mg < 1.0 { 12_345.6 } else { 12_346.0 }, "{dialect:?} {unit:?}");
+            assert_eq!(
+                shown,
+                if readability_mg < 1.0 { 12_345.6 } else { 12_346.0 },
+                "{dialect:?} {unit:?}"
+            );
         }
     }
 }
@@ -113,16 +130,30 @@ fn what_the_balance_cannot_weigh_is_refused_by_its_reason() {
             (Fault::Overload, "overload"),
             (Fault::Underload, "underload"),
             (Fault::UnitSwitched, "shows oz"),
-            (Fault::NotReady, if dialect == Dialect::Ohaus { "know a command" } else { "not ready" }),
+            (
+                Fault::NotReady,
+                if dialect == Dialect::Ohaus { "know a command" } else { "not ready" },
+            ),
         ] {
             lab.balance.inject(fault);
-            for answer in [lab.driver.immediate(), lab.driver.stable(2.0), lab.driver.tare(), lab.driver.zero()] {
+            for answer in [
+                lab.driver.immediate(),
+                lab.driver.stable(2.0),
+                lab.driver.tare(),
+                lab.driver.zero(),
+            ] {
                 let error = answer.unwrap_err();
                 let is_fault = matches!(error, DeviceError::Faulted { .. });
-                assert!(is_fault && words(&error).contains(cause), "{dialect:?} {fault:?}: {error}");
+                assert!(
+                    is_fault && words(&error).contains(cause),
+                    "{dialect:?} {fault:?}: {error}"
+                );
             }
             lab.balance.clear();
-            assert!(is_near(lab.driver.stable(5.0).unwrap().mass_mg, 0.0), "{dialect:?} after {fault:?}");
+            assert!(
+                is_near(lab.driver.stable(5.0).unwrap().mass_mg, 0.0),
+                "{dialect:?} after {fault:?}"
+            );
         }
     }
 }

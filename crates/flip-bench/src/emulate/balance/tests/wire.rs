@@ -19,13 +19,19 @@ fn a_probe_names_the_dialect_changes_nothing_and_keeps_what_passed() {
         let found = probe::probe(&address, &probe::usual_settings(), Tap::none(), |_| {});
         assert_eq!(found.dialect, Some(dialect), "{found:?}");
         assert!(found.identity.is_some_and(|identity| identity.serial.is_some()));
-        assert!(found.notes.iter().any(|note| note.contains("not verified on a device")), "{:?}", found.notes);
+        assert!(
+            found.notes.iter().any(|note| note.contains("not verified on a device")),
+            "{:?}",
+            found.notes
+        );
         assert_eq!(lab.balance.tare_mg(), 0.0);
         let harmless = [
-            "I4", "I11", "I2", "I3", "SI", "PSN", "V", "IP", "?TN", "?SN", "Q", r"\x1bx1_", r"\x1bx2_", r"\x1bx3_",
-            r"\x1bP",
+            "I4", "I11", "I2", "I3", "SI", "PSN", "V", "IP", "?TN", "?SN", "Q", r"\x1bx1_",
+            r"\x1bx2_", r"\x1bx3_", r"\x1bP",
         ];
-        for exchange in found.transcript.iter().filter(|exchange| exchange.direction == Direction::Sent) {
+        for exchange in
+            found.transcript.iter().filter(|exchange| exchange.direction == Direction::Sent)
+        {
             assert!(harmless.contains(&exchange.text.trim_end_matches(r"\r\n")), "{exchange:?}");
         }
     }
@@ -54,7 +60,8 @@ fn said(settings: Settings, fault: Option<Fault>, commands: &[&str]) -> Vec<Stri
     if let Some(fault) = fault {
         balance.inject(fault);
     }
-    let mut line = Line::open("the balance", balance.address(), &Serial::default(), Tap::none()).unwrap();
+    let mut line =
+        Line::open("the balance", balance.address(), &Serial::default(), Tap::none()).unwrap();
     let mut lines = Vec::new();
     for command in commands {
         line.send(command.as_bytes()).unwrap();
@@ -107,7 +114,8 @@ fn equal_questions_get_equal_answers_under_a_standing_clock() {
 #[test]
 fn readings_wander_as_those_of_an_enclosed_balance_and_no_further() {
     let settings = Settings { readability_mg: 0.1, seed: 5, ..Settings::default() };
-    let (noise_mg, wander_mg, wander_s) = (settings.noise_mg, settings.wander_mg, settings.wander_s);
+    let (noise_mg, wander_mg, wander_s) =
+        (settings.noise_mg, settings.wander_mg, settings.wander_s);
     let mut lab = lab_with(settings, tcp(), |_| {});
     let mut shown = Vec::new();
     let began_s = lab.balance.pan().clock().now_s();
@@ -128,9 +136,13 @@ fn readings_wander_as_those_of_an_enclosed_balance_and_no_further() {
     assert!((found / expected - 1.0).abs() < 0.3, "SD {found} mg, {expected}");
     for (lag, bound) in [(1, 0.1), (5, 0.15), (10, 0.2)] {
         let kept = (-step_s * lag as f64 / wander_s).exp();
-        let expected = (2.0 * (noise_mg.powi(2) + wander_mg.powi(2) * (1.0 - kept)) + 0.01 / 6.0).sqrt();
+        let expected =
+            (2.0 * (noise_mg.powi(2) + wander_mg.powi(2) * (1.0 - kept)) + 0.01 / 6.0).sqrt();
         let found = rms(&mut shown.windows(lag + 1).map(|window| window[lag] - window[0]));
-        assert!((found / expected - 1.0).abs() < bound, "over {lag} readings {found} mg, {expected}");
+        assert!(
+            (found / expected - 1.0).abs() < bound,
+            "over {lag} readings {found} mg, {expected}"
+        );
     }
 }
 
