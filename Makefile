@@ -11,12 +11,13 @@
 # make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
 # make stale   results in docs that are older than the code they speak of
 # make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
-# make web    the page alone · make bench   the hot loops · make lint   format, clippy, licences and advisories
+# make check  what is wrong without running a test: format, clippy, licences, and the README's own commands
+# make web    the page alone · make bench   the hot loops · make lint   make check's first half and the code's documentation
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint
+.PHONY: run test setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint check
 
 ARGS ?=
 LOGS := target/test
@@ -148,8 +149,17 @@ training-report: setup
 		doses --repeats 5 --policy "$$paper" --controllers policy
 	done
 
+# The first dose of the README takes two minutes of waiting: clippy runs meanwhile.
+check: setup
+	cargo fmt --all --check
+	python3 .ci/deny.py
+	cargo build --release --locked --bin flip
+	python3 .ci/readme.py "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" & readme=$$!
+	cargo clippy --release --locked --workspace --all-targets -- -D warnings
+	wait "$$readme"
+
 lint: setup
 	cargo fmt --all --check
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings
 	cargo doc --release --locked --workspace --no-deps --document-private-items
-	cargo deny check
+	python3 .ci/deny.py

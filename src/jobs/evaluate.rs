@@ -202,7 +202,7 @@ pub fn rival(name: &str) -> Option<Kind> {
     }
 }
 
-/// The open-loop rival: found by `examples/tune_schedule.rs` with its defaults, on all five powders
+/// The open-loop rival: found by `cargo experiment tune_schedule` with its defaults, on all five powders
 /// and for 15 and 20 mg (1840 pours). Pitches in degrees and shakes in mm.
 pub fn tuned_schedule() -> Schedule {
     const STEPS: [(f64, f64); 10] = [

@@ -14,10 +14,6 @@
 //! | `order` | place in the session k | k, k^2, 1 - exp(-k / 2), 1 - exp(-k / 5) |
 //! | `batch`, `method_bias`, `operator`, `base_friction` | batch, method, operator, plate | one number for each level |
 //!
-//! The forms are ours: of each kind some that grow ever faster, some that approach a limit, and
-//! some that rise in the middle; no number in them was
-//! measured.
-//!
 //! The forms are ours: for each kind, some grow ever faster, some approach a limit, and some rise
 //! in the middle. None of their numbers was measured.
 

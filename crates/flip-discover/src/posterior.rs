@@ -370,7 +370,8 @@ impl<'a> Solved<'a> {
         let y = DVector::from_column_slice(&prepared.observed);
         let solved = noise.factor.solve(&measured);
         let mut precision = measured.tr_mul(&solved);
-        (means..precision.nrows()).for_each(|k| precision[(k, k)] += 1.0 / (component.amplitude * component.amplitude));
+        (means..precision.nrows())
+            .for_each(|k| precision[(k, k)] += 1.0 / (component.amplitude * component.amplitude));
         let precision = Cholesky::new(precision)?;
         let seen = solved.tr_mul(&y);
         let coefficients = precision.solve(&seen);

@@ -19,7 +19,7 @@
 //! seed: shifts on average over 28 random parameter sets that pile at 22 to 50 deg, as lines over
 //! the angle. Sets of the same angle differ by 2 to 5 deg among themselves (SD, including some 1.5
 //! deg from seeds), which is why powders have deviations of their own. Printed by
-//! `examples/simulated_responses.rs fit` from `docs/simulated_responses.jsonl`.
+//! `cargo experiment simulated_responses fit` from `docs/simulated_responses.jsonl`.
 
 use super::campaign::Campaign;
 use super::catalogue::Mechanism;

@@ -58,7 +58,7 @@ pub struct Paced {
 }
 
 impl Paced {
-    /// The shipped values: found by `examples/tune_schedule.rs` for `paced` on sand, sugar and salt
+    /// The shipped values: found by `cargo experiment tune_schedule` for `paced` on sand, sugar and salt
     /// (`docs/dispenser.md`).
     pub const CHOSEN: Self = Self {
         gentle: Fuzzy {

@@ -50,7 +50,7 @@ pub struct Spoonful {
 
 impl Response {
     /// Fitted by `benches/dispenser/fit.py` to 250 courses of fifty calibrated sets
-    /// (`examples/shake_response.rs`).
+    /// (`cargo experiment shake_response`).
     pub const FITTED: Self = Self {
         onset_deg: [-3.42, 36.06],
         ln_slope_mg_deg: [-0.39, 0.71],

@@ -9,7 +9,8 @@ use std::collections::HashMap;
 /// Errors of one controller in one cell of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EvaluationRow {
-    /// `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid` or `fuzzy`.
+    /// `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`,
+    /// `fuzzy` or `paced`.
     pub controller: String,
     /// Powder id.
     pub powder: String,
@@ -37,7 +38,8 @@ pub struct EvaluationRow {
 /// Errors of one controller over all cells of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct EvaluationSummary {
-    /// `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid` or `fuzzy`.
+    /// `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`,
+    /// `fuzzy` or `paced`.
     pub controller: String,
     /// Mean absolute error, mg.
     pub mae_mg: f64,

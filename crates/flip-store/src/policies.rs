@@ -13,7 +13,8 @@ use sqlx::sqlite::SqliteRow;
 pub struct Policy {
     /// Content address: `p-` and 16 hexadecimal digits.
     pub id: String,
-    /// `learned`, `recurrent`, `fixed`, `schedule` or `dispenser`.
+    /// `learned`, `recurrent`, `fixed`, `schedule`, `dispenser`, `pid`,
+    /// `fuzzy` or `paced`.
     pub kind: String,
     /// The training that made it.
     pub training: Option<String>,

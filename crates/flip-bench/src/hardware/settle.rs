@@ -19,7 +19,7 @@
 //! | lag | `lag_s` | s | from the end of a motion until the balance can feel what fell; nothing before it counts |
 //! | a | | mg | what is still to come by the fit |
 //!
-//! `examples/settling.rs` tries it on the published step responses.
+//! `cargo experiment settling` tries it on the published step responses.
 
 use flip_core::domain::bench::{Moment, Reading, Standing};
 use flip_core::domain::rest::Rest;

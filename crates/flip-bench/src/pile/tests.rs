@@ -39,7 +39,7 @@ fn judged(errors: &[[f64; 2]]) -> [f64; 3] {
     [bias, sd, errors.iter().filter(|e| e[0].abs() <= 2.0 * e[1]).count() as f64 / n]
 }
 
-/// A subset of what `examples/repose_camera.rs` prints for many more piles.
+/// A subset of what `cargo experiment repose_camera` prints for many more piles.
 #[test]
 fn drawn_piles_are_measured_within_half_a_degree_and_the_uncertainty_holds_the_errors() {
     let (mut tips, mut cones) = (Vec::new(), Vec::new());

@@ -151,7 +151,8 @@ impl Whitening {
     ) -> Fit {
         let (mut explained, mut log_volume, mut first, mut variance) = (0.0, 0.0, 0.0, 0.0);
         for (j, &eigenvalue) in signature.eigenvalues.iter().enumerate() {
-            let (shrunk, seen) = (1.0 / (1.0 / (amplitude * amplitude) + eigenvalue), signature.seen[(j, k)]);
+            let (shrunk, seen) =
+                (1.0 / (1.0 / (amplitude * amplitude) + eigenvalue), signature.seen[(j, k)]);
             explained += shrunk * seen * seen;
             log_volume += (amplitude * amplitude * eigenvalue).ln_1p();
             first += signature.first[j] * shrunk * seen;

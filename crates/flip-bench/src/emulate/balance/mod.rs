@@ -13,7 +13,7 @@
 //! HR-100A in the data pack, 578 s): root mean square of the difference of two readings 0.20, 0.33,
 //! 0.46 and 0.6 to 0.7 mg over 0.3, 1, 2 and 4 s, here 0.21, 0.31, 0.40 and 0.51. Over a minute
 //! that balance crept by another 1.7 to 4.6 mg, which is not modelled here, except as
-//! [`Fault::Drift`]. `examples/display_life.rs` prints both. The stable flag is set when the load
+//! [`Fault::Drift`]. `cargo experiment display_life` prints both. The stable flag is set when the load
 //! was at rest for 1.5 to 2.3 s, as on the balance whose step responses are in the data pack.
 //! Commands wait for a stable reading, and fail in the dialect's way when none comes. Under a
 //! virtual clock, equal requests get equal replies.
