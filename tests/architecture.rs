@@ -37,6 +37,9 @@ const ARROWS: [(&str, &[&str]); 13] = [
     ("telemetry", &[]),
 ];
 
+/// Crates that are one room.
+const ALONE: [&str; 4] = ["discover", "policy", "sim", "store"];
+
 /// Crates of several rooms.
 const HOUSES: [&str; 3] = ["flip-bench", "flip-core", "flip-learn"];
 
@@ -143,16 +146,17 @@ fn sources() -> Vec<Source> {
 
 /// Every room named in `code`: by `crate::room`, by `flip_house::room`, or by `flip_room` where a crate is one.
 fn named_rooms(code: &str) -> Vec<&str> {
-    let word =
-        |rest: &'_ str| rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
-    let inside = |mark: &str| {
-        code.split(mark).skip(1).map(move |rest| &rest[..word(rest)]).collect::<Vec<_>>()
+    let end =
+        |rest: &str| rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
+    let after = |mark: &str| -> Vec<&str> {
+        code.split(mark).skip(1).map(|rest| &rest[..end(rest)]).collect()
     };
     let houses = HOUSES.map(|house| format!("{}::", house.replace('-', "_")));
-    let within = houses.iter().flat_map(|mark| inside(mark));
-    let crates =
-        inside("flip_").into_iter().filter(|name| !HOUSES.contains(&&*format!("flip-{name}")));
-    inside("crate::").into_iter().chain(within).chain(crates).collect()
+    let alone = |room: &&str| {
+        ["::", " as "].iter().any(|tail| code.contains(&format!("flip_{room}{tail}")))
+    };
+    let within = houses.iter().flat_map(|mark| after(mark));
+    after("crate::").into_iter().chain(within).chain(ALONE.into_iter().filter(alone)).collect()
 }
 
 /// Every occurrence of `word` in `code` that does not continue an identifier.

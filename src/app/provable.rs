@@ -1,7 +1,7 @@
 //! Whether a reading can show at all that a dose meets its request.
 
+use super::Result;
 use super::check::Check;
-use super::{Error, Result};
 
 /// Refuses a request that no reading with this display step, mg, can prove to be met; if the step
 /// is not known in advance, nothing is refused.
@@ -45,11 +45,12 @@ pub(super) fn check(
         );
         check.refuse("target.value", advice);
     }
-    check.done().map_err(Error::from)
+    check.done()
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::Error;
     use super::*;
 
     fn refused(target_mg: f64, tolerance_mg: (f64, f64), step_mg: Option<f64>) -> Vec<String> {

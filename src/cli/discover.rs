@@ -98,19 +98,22 @@ struct CampaignArguments {
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Dates {
     /// 2/3/2026 is 2 March.
-    DayFirst,
+    #[value(name = "day-first")]
+    Day,
     /// 2/3/2026 is 3 February.
-    MonthFirst,
+    #[value(name = "month-first")]
+    Month,
     /// 26/02/21 is 21 February 2026.
-    YearFirst,
+    #[value(name = "year-first")]
+    Year,
 }
 
 impl From<Dates> for DateOrder {
     fn from(dates: Dates) -> Self {
         match dates {
-            Dates::DayFirst => Self::DayFirst,
-            Dates::MonthFirst => Self::MonthFirst,
-            Dates::YearFirst => Self::YearFirst,
+            Dates::Day => Self::DayFirst,
+            Dates::Month => Self::MonthFirst,
+            Dates::Year => Self::YearFirst,
         }
     }
 }

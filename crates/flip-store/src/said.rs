@@ -256,9 +256,9 @@ pub(super) async fn every_row(tx: &mut Transaction<'_, Sqlite>) -> Result<Vec<Fo
             let id = id_of(what, &row)?;
             let said = row_says(what, &row)
                 .map_err(|error| format!("its row does not read as one: {error}"));
-            let said = said.and_then(|said| match said {
-                Value::Object(fields) => Ok(fields),
-                _ => Ok(Map::new()),
+            let said = said.map(|said| match said {
+                Value::Object(fields) => fields,
+                _ => Map::new(),
             });
             found.push((what, id, said.and_then(|said| named_by_content(what, said))));
         }

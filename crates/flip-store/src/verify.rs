@@ -434,7 +434,7 @@ fn different(row: &Weighing, said: &Weighing, others: Vec<&str>) -> Option<Strin
             (row.get(name.as_str()).unwrap_or(&null), said.get(name.as_str()).unwrap_or(&null));
         (row != said).then(|| format!("{name} is {row}, {said} was recorded"))
     };
-    let mut found: Vec<String> = names.iter().filter_map(|name| one(name)).collect();
+    let mut found: Vec<String> = names.iter().filter_map(one).collect();
     found.extend(named(others));
     changed(&found)
 }

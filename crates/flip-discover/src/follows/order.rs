@@ -47,6 +47,9 @@ struct Look {
     of_what: &'static str,
 }
 
+/// Looks at rows and a column in one way, where repeats scatter to so many degrees.
+type Looking = fn(&[Row], &[Option<f64>], f64) -> Option<Look>;
+
 /// Why a column is a function of the angle's residual from its powder's mean, if it is. `runs` is
 /// the number of runs behind the rows.
 pub(super) fn follows(
@@ -61,8 +64,7 @@ pub(super) fn follows(
     }
     let of_run = if quantity == Quantity::Repose { REPEATS_TO } else { FLOW_REPEATS_TO };
     let repeats_to = of_run * (rows.len() as f64 / runs.max(rows.len()) as f64).sqrt();
-    let looks: [fn(&[Row], &[Option<f64>], f64) -> Option<Look>; 3] =
-        [of_powders, of_days, of_means];
+    let looks: [Looking; 3] = [of_powders, of_days, of_means];
     looks.into_iter().find_map(|look| {
         let look = look(rows, &column, repeats_to)?;
         let exceptions = look.exceptions(ln_orders)?;

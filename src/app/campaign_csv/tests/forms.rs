@@ -3,6 +3,9 @@
 use super::*;
 use proptest::prelude::*;
 
+/// Powder, angle in hundredths of a degree, month and day, humidity in tenths of a percent, operator.
+type Row = (usize, i32, (u8, u8), Option<i32>, usize);
+
 /// A format in which a laboratory may write a table.
 #[derive(Debug, Clone)]
 struct Form {
@@ -59,7 +62,7 @@ impl Form {
     }
 
     /// Writes these rows as a table: powder, angle, day, humidity, operator.
-    fn write(&self, rows: &[(usize, i32, (u8, u8), Option<i32>, usize)]) -> String {
+    fn write(&self, rows: &[Row]) -> String {
         let missing = ["", "NA", "n.d.", "-", "#N/A"][self.missing];
         let header = ["powder", "repose_deg", "session", "relative_humidity_pct", "operator"]
             .map(|name| self.name(name));

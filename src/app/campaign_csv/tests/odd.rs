@@ -43,7 +43,8 @@ fn a_date_with_its_year_of_two_digits_first_is_no_day_of_2021() {
         "14 days, 2026-02-01 to 2026-02-27"
     );
     // The same without separators; as numbers they would be sorted by the day of the month.
-    let days = |k: usize| format!("{:02}{}26", 10 + k, if k % 2 == 0 { "02" } else { "01" });
+    let days =
+        |k: usize| format!("{:02}{}26", 10 + k, if k.is_multiple_of(2) { "02" } else { "01" });
     assert_eq!(note(&beside("session", days), "session"), "14 days, 2026-01-11 to 2026-02-22");
 }
 
