@@ -26,7 +26,8 @@ function headings(file) {
 const pages = [...fs.readdirSync(root).filter(name => name.endsWith('.md')), 'src/ARCHITECTURE.md', ...walk('docs', '.md')]
 for (const page of pages) {
   for (const [, target] of prose(read(page)).matchAll(/\]\(([^)\s]+)\)/g)) {
-    if (/^[a-z]+:/.test(target) || target.startsWith('crate::')) continue
+    // Paths of Rust items are rustdoc's to check.
+    if (/^[a-z]+:/.test(target) || /^(crate|flip_[a-z]+)(::|$)/.test(target)) continue
     const [file, anchor] = target.split('#')
     const there = file ? path.join(path.dirname(page), file) : page
     if (!fs.existsSync(path.join(root, there))) problems.push(`${page}: no ${target}`)
