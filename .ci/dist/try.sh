@@ -15,26 +15,29 @@ bare_root() {
         | sort -u | grep -v "$PWD" | xargs -I{} cp --parents -L {} "$root/"
 }
 
-# A root of its own, without the network; root outside is not needed where user namespaces are.
+# A root of its own, without the network but its own loopback; root outside is not needed where user namespaces are.
+# Runs a shell command in which `flip` is the program inside that root.
 inside() {
-    local root="$1"
-    shift
-    unshare --map-root-user --mount --pid --fork --net sh -c '
+    local root="$1" flip="$2" command="$3"
+    PATH="$PATH:/usr/sbin:/sbin" unshare --map-root-user --mount --pid --fork --net bash -euc '
         mount -t proc proc "$1/proc" 2> /dev/null || true
-        touch "$1/dev/null"; mount --bind /dev/null "$1/dev/null"
-        touch "$1/dev/urandom"; mount --bind /dev/urandom "$1/dev/urandom"
-        [ ! -x /sbin/ip ] || /sbin/ip link set lo up
-        root=$1; shift; exec env -i HOME=/ chroot "$root" "$@"' sh "$root" "$@"
+        for device in null urandom; do touch "$1/dev/$device"; mount --bind "/dev/$device" "$1/dev/$device"; done
+        ip link set lo up
+        flip() { env -i HOME=/ "$(command -v chroot)" "$root" "$program" "$@"; }
+        root=$1 program=$2; eval "$3"' bash "$root" "$flip" "$command"
 }
 
 try() {
-    local what="$1" root="$2" flip="$3"
-    echo "== $what"
-    inside "$root" "$flip" --version
-    inside "$root" "$flip" doctor --data-dir /data/flip
-    inside "$root" "$flip" repose --seed 1 --data-dir /data/flip
-    inside "$root" "$flip" policy list --data-dir /data/flip > /dev/null
-    inside "$root" "$flip" audit verify --data-dir /data/flip
+    echo "== $1"
+    inside "$2" "$3" '
+        flip --version
+        flip doctor --data-dir /data/flip
+        flip repose --seed 1 --data-dir /data/flip
+        flip policy list --data-dir /data/flip > /dev/null
+        flip audit verify --data-dir /data/flip
+        flip serve --data-dir /data/flip --listen 127.0.0.1:8080 > /dev/null 2>&1 &
+        for _ in $(seq 50); do sleep 0.2; flip health --listen 127.0.0.1:8080 > /dev/null 2>&1 && break; done
+        flip health --listen 127.0.0.1:8080'
 }
 
 bare_root "$work/tar"
