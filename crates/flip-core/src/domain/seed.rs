@@ -11,8 +11,8 @@ pub fn derive(seed: u64, path: &[u64]) -> u64 {
     })
 }
 
-/// An index for [`derive`] made from a name, so that a named item draws the same numbers wherever
-/// it stands in a list.
+/// An index for [`derive`](fn@derive) made from a name, so that a named item draws the same
+/// numbers wherever it stands in a list.
 pub fn index_of(name: &str) -> u64 {
     name.bytes().fold(mix(name.len() as u64), |state, byte| mix(state ^ u64::from(byte)))
 }
