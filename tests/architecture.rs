@@ -88,7 +88,7 @@ const BANNED_NAMES: [&str; 8] =
     ["utils", "util", "helpers", "helper", "common", "manager", "misc", "model"];
 
 /// Maximum lines of a file, at 100 columns; files are reviewed from 450.
-const LINES_MAX: usize = 540;
+const LINES_MAX: usize = 500;
 
 /// One source file: its path below the root, its room, its text, and that text without comments and unit tests.
 struct Source {

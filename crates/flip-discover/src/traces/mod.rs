@@ -26,6 +26,7 @@ mod design;
 mod evidence;
 mod level;
 mod noise;
+mod parameter;
 pub mod readings;
 pub(super) mod report;
 mod screen;
@@ -38,9 +39,10 @@ mod words;
 mod tests;
 
 pub use catalogue::TraceMechanism;
+pub use parameter::Parameter;
 pub use readings::{Kind, Reading, Traces, Weighing};
 pub use report::WANDER;
 pub use screen::{
-    Effect as TraceEffect, Parameter, Settings, TraceCause, TraceJudged, TraceScreening, Unjudged,
+    Effect as TraceEffect, Settings, TraceCause, TraceJudged, TraceScreening, Unjudged,
     screen_traces,
 };

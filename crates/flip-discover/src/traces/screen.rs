@@ -15,6 +15,7 @@ use super::catalogue::{self, Differs, Level, Shaped, TraceMechanism};
 use super::design::Design;
 use super::level::{Estimate, Form, Hypothesis, Noise, Verdict, judge};
 use super::noise::{self, FILTERED, Masses, SCATTERS, ShakeNoise};
+use super::parameter::{Parameter, parameters};
 use super::readings::{Kind, Traces};
 use super::shakes;
 use super::simulate::{self, Scatter};
@@ -51,21 +52,6 @@ pub enum TraceCause {
     Known(TraceMechanism),
     /// Something that wanders, in each weighing in its own way.
     Unknown,
-}
-
-/// A parameter of a cause, with its 95 % interval.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Parameter {
-    /// Its name.
-    pub name: &'static str,
-    /// Best guess.
-    pub value: f64,
-    /// Lower limit of 95 %.
-    pub low95: f64,
-    /// Upper limit of 95 %.
-    pub high95: f64,
-    /// Unit of all three.
-    pub unit: &'static str,
 }
 
 /// How large a cause is: the change from the 5th to the 95th percentile of the covariate it goes
@@ -495,13 +481,4 @@ impl Plan<'_> {
 fn column(seen: &Seen, level: Level) -> DMatrix<f64> {
     let rows = &seen.0[level as usize];
     DMatrix::from_column_slice(rows.len(), 1, rows)
-}
-
-fn parameters(mechanism: TraceMechanism, estimate: &Estimate) -> Vec<Parameter> {
-    let [size, shape] = mechanism.numbers();
-    let of = |(name, unit): (&'static str, &'static str), [value, low95, high95]: [f64; 3]| {
-        Parameter { name, value, low95, high95, unit }
-    };
-    let shape = estimate.shape().map(|numbers| of(shape, numbers));
-    std::iter::once(of(size, estimate.size())).chain(shape).collect()
 }

@@ -1,0 +1,57 @@
+//! Settings of the weighing loop.
+
+use super::forecast::Forecast;
+use super::result::Accuracy;
+use flip_core::domain::vial::PanCheck;
+
+/// Settings of the weighing loop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// How long the balance is watched before the first motion and for the final reading, s; 0: not
+    /// at all, the last reading of the dose counts.
+    pub stand_s: f64,
+    /// Minimum time over which the display is averaged (after the tare, before the dose ends, at
+    /// the end), s; 0: not at all, the tare is the zero and a single reading the result.
+    pub rest_s: f64,
+    /// Maximum time of the same, while its wander leaves the mean uncertain, s.
+    pub rest_max_s: f64,
+    /// Longest time from the tare to the last motion, s.
+    pub seconds_max: f64,
+    /// How long to wait for the display to change before the next shake, if it did not change at
+    /// the last one, s; 0: no wait.
+    pub life_s: f64,
+    /// A spoon that releases nothing, and mass that appears without a shake, end the weighing.
+    pub strict: bool,
+    /// Prior for the powder; `None`: the guard uses no forecast.
+    pub forecast: Option<Forecast>,
+    /// Known accuracy of the balance.
+    pub accuracy: Accuracy,
+    /// What the display must show before anything moves, if the balance is watched then.
+    pub pan: PanCheck,
+}
+
+impl Settings {
+    /// On a bench: watched for three seconds, averaged over ten to twenty, ten minutes at most, a
+    /// display that changes within a minute, a powder about which nothing is known.
+    pub const BENCH: Self = Self {
+        stand_s: 3.0,
+        rest_s: 10.0,
+        rest_max_s: 20.0,
+        seconds_max: 600.0,
+        life_s: 60.0,
+        strict: true,
+        forecast: Some(Forecast::GENERIC),
+        accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
+        pan: PanCheck::NONE,
+    };
+    /// As in a training episode: no watching, no forecast.
+    pub const EPISODE: Self = Self {
+        stand_s: 0.0,
+        rest_s: 0.0,
+        seconds_max: f64::INFINITY,
+        life_s: 0.0,
+        strict: false,
+        forecast: None,
+        ..Self::BENCH
+    };
+}
