@@ -20,7 +20,6 @@ SHELL := /bin/bash
 .PHONY: run test setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop dist lint check
 
 ARGS ?=
-LOGS := target/test
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
 WEB_SOURCES := $(shell find web -name node_modules -prune -o -name dist -prune -o -path web/docs -prune -o -name docs-dist -prune -o -type f -print 2>/dev/null)
 
@@ -29,14 +28,7 @@ run: setup
 	exec cargo run --quiet --release --locked -- demo $(ARGS)
 
 test: setup chromium
-	mkdir -p $(LOGS)
-	cargo test --release --locked --workspace --exclude flip-experiments 2>&1 | tee $(LOGS)/rust.log
-	binary="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
-	(cd web && FLIP_BIN="$$binary" npm test) 2>&1 | tee $(LOGS)/web.log
-	$(MAKE) docs
-	rust=$$(awk '/^test result:/ { n += $$4 } END { print n + 0 }' $(LOGS)/rust.log)
-	web=$$(awk '$$2 == "pass" { n += $$3 } END { print n + 0 }' $(LOGS)/web.log)
-	echo "tests passed: $$((rust + web)) (Rust $$rust, page $$web)"
+	python3 .ci/tests.py
 
 # What cargo cannot fetch by itself: libtorch (checked by SHA-256), and the built page and documentation, which the binary embeds.
 setup: need .libtorch/build-version web web/docs-dist/index.html

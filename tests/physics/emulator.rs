@@ -8,7 +8,7 @@ use flip_sim::repose::{Refusal, Settings, repose};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 
-const PARTICLES: u32 = 2000;
+const PARTICLES: u32 = 800;
 const READINGS: u32 = 4;
 const HELD_OUT: u64 = 60;
 

@@ -98,7 +98,7 @@ pub fn bounded<T>(bytes_max: usize, parse: impl Fn() -> T) -> Result<T, String> 
 /// Runs a target for the time set in the environment, and reports the result.
 pub fn fuzz(target: &Target) {
     let files = corpus::read(target.name);
-    let seconds = number_from("FLIP_FUZZ_SECONDS").unwrap_or(5.0);
+    let seconds = number_from("FLIP_FUZZ_SECONDS").unwrap_or(2.0);
     let seed = number_from("FLIP_FUZZ_SEED").unwrap_or(1.0) as u64;
     match run(target, &files, Duration::from_secs_f64(seconds), seed) {
         Ok(run) => {

@@ -1,7 +1,7 @@
 //! Every parser of external input, fed with damaged and hostile bytes: no panic, no waste of time
 //! or memory, and the invariants of each.
 //!
-//! Each target runs for `FLIP_FUZZ_SECONDS` (default 5; `make reliability` sets 60) from the seed
+//! Each target runs for `FLIP_FUZZ_SECONDS` (default 2; `make reliability` sets 60) from the seed
 //! `FLIP_FUZZ_SEED` (default 1), two in parallel on two cores. `corpus/<target>/` holds the files
 //! it begins with. A failing input is minimised and kept there as `found-…`: every later run checks
 //! it first.

@@ -1,0 +1,113 @@
+#!/usr/bin/env python3
+"""Builds and runs every test: `python3 .ci/tests.py [NAME ...]`, only suites whose name contains a NAME if any is given.
+
+Suites that compute would keep all cores busy for half an hour while suites that wait (for emulated devices, for
+services, for a browser) leave them idle. So the lanes below run side by side, one suite after another in each; what
+computes has the lowest priority, like the service's own computing. Every suite's output is in target/test/SUITE.log.
+"""
+import json
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import threading
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+LOGS = ROOT / "target/test"
+CARGO = ["cargo", "test", "--release", "--locked", "--workspace", "--exclude", "flip-experiments"]
+
+# Suites by name, longest first. A suite named nowhere runs in the last lane.
+LANES = [
+    ["discovery", "cli", "flip_learn", "training", "doc"],
+    ["physics", "flip_discover", "flip_sim"],
+    ["page", "docs"],
+    ["flip_bench", "reliability", "kills", "fuzz", "balance_peers"],
+    ["app", "served", "api"],
+]
+COMPUTES = LANES[0] + LANES[1]
+# Tests of a suite that run at a time, where they mostly wait.
+THREADS = {"flip_bench": 6}
+SLOWEST = 10
+
+
+def built():
+    """The suites that cargo builds: name, command, folder."""
+    done = subprocess.run([*CARGO, "--no-run", "--timings", "--message-format=json-render-diagnostics"], cwd=ROOT, stdout=subprocess.PIPE)
+    if done.returncode != 0:
+        sys.exit(done.returncode)
+    for line in done.stdout.splitlines():
+        message = json.loads(line)
+        if message.get("executable") and message["profile"]["test"]:
+            name, kind = message["target"]["name"], message["target"]["kind"][0]
+            folder = pathlib.Path(message["manifest_path"]).parent
+            # `--report-time` is unstable, and the slowest tests are worth it.
+            threads = ["--test-threads", str(THREADS[name])] if name in THREADS else []
+            command = [message["executable"], "-Zunstable-options", "--report-time", *threads]
+            yield (f"{name}_{kind}" if kind == "bin" else name), command, folder
+    yield "doc", [*CARGO, "--doc"], ROOT
+    page = {"FLIP_BIN": str(TARGET / "release/flip")}
+    yield "page", ["env", *(f"{name}={value}" for name, value in page.items()), "npm", "test"], ROOT / "web"
+    yield "docs", ["make", "docs"], ROOT
+
+
+def run(name, command, folder):
+    """Runs a suite and returns its exit status, its seconds, how many tests passed, and (seconds, test) of each."""
+    log = LOGS / f"{name}.log"
+    paths = [str(ROOT / ".libtorch/lib"), os.environ.get("LD_LIBRARY_PATH", "")]
+    environment = {
+        **os.environ,
+        "RUSTC_BOOTSTRAP": "1",
+        "CARGO_MANIFEST_DIR": str(folder),
+        "LD_LIBRARY_PATH": ":".join(filter(None, paths)),
+    }
+    if name in ("doc", "docs", "page"):
+        del environment["RUSTC_BOOTSTRAP"]
+    polite = ["nice", "-n", "19"] if name in COMPUTES else []
+    start = time.monotonic()
+    with log.open("wb") as out:
+        status = subprocess.run([*polite, *command], cwd=folder, env=environment, stdout=out, stderr=subprocess.STDOUT).returncode
+    text = log.read_text(errors="replace")
+    passed = sum(int(n) for n in re.findall(r"^test result: \w+\. (\d+) passed", text, re.M))
+    passed += sum(int(n) for n in re.findall(r"^\S+ pass (\d+)$", text, re.M))
+    times = re.findall(r"^test (.+) \.\.\. .*<([\d.]+)s>", text, re.M)
+    times += [(test, float(ms) / 1000) for test, ms in re.findall(r"^ *✔ (.+) \(([\d.]+)ms\)$", text, re.M)]
+    return status, time.monotonic() - start, passed, [(float(seconds), f"{name}: {test}") for test, seconds in times]
+
+
+def main():
+    names = sys.argv[1:]
+    LOGS.mkdir(parents=True, exist_ok=True)
+    suites = {name: (command, folder) for name, command, folder in built() if not names or any(n in name for n in names)}
+    lanes = [[name for name in lane if name in suites] for lane in LANES]
+    lanes.append([name for name in suites if not any(name in lane for lane in LANES)])
+    results, speak = {}, threading.Lock()
+
+    def work(lane):
+        for name in lane:
+            results[name] = status, seconds, passed, _ = run(name, *suites[name])
+            with speak:
+                print(f"{name}: {passed} passed" + ("" if status == 0 else ", FAILED") + f", {seconds:.0f} s", flush=True)
+                if status != 0:
+                    print((LOGS / f"{name}.log").read_text(errors="replace"), flush=True)
+
+    threads = [threading.Thread(target=work, args=(lane,)) for lane in lanes if lane]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    print(f"the {SLOWEST} slowest tests:")
+    for seconds, test in sorted((it for result in results.values() for it in result[3]), reverse=True)[:SLOWEST]:
+        print(f"{seconds:7.1f} s  {test}")
+    failed = [name for name, result in results.items() if result[0] != 0]
+    page = results.get("page", (0, 0, 0))[2]
+    total = sum(result[2] for result in results.values())
+    print(f"tests passed: {total} (Rust {total - page}, page {page})")
+    if failed:
+        sys.exit(f"failed: {', '.join(failed)}; see target/test/NAME.log")
+
+
+if __name__ == "__main__":
+    main()
