@@ -77,7 +77,7 @@ impl Store {
         let lease = |row: &SqliteRow| {
             Ok::<_, Error>(Lease { job: row.plain("id")?, fence: row.plain("fence")? })
         };
-        rows.iter().map(|row| Ok((row.word("kind")?, lease(row)?))).collect()
+        rows.iter().map(|row| Ok((row.word("job", "kind")?, lease(row)?))).collect()
     }
 
     /// Requeue running jobs, since nobody computes them. Sound only at startup: the lock on the
@@ -107,7 +107,7 @@ impl Tx {
             .fetch_optional(&mut *self.inner)
             .await?;
         let Some(row) = row else { return Ok(Claim::Ended) };
-        let state: JobState = row.word("state")?;
+        let state: JobState = row.word("job", "state")?;
         if state.is_terminal() {
             return Ok(Claim::Ended);
         }
