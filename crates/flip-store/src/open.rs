@@ -152,8 +152,7 @@ pub(super) fn archives(data_dir: &Path) -> Archives {
     Archives::in_folder(data_dir.join(archive::FOLDER))
 }
 
-/// FLIP's migrations. The queue library keeps its own in the same table, so each ignores the
-/// other's.
+/// FLIP's migrations. A folder from before migration 23 names those of a queue library, too.
 fn migrations() -> Migrator {
     let mut migrations = sqlx::migrate!("../../migrations");
     migrations.set_ignore_missing(true);
