@@ -151,9 +151,7 @@ fn on_compute_thread(
 }
 
 fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
-    let spec = serde_json::from_str(&claimed.spec).map_err(|error| {
-        JobError::Fail(format!("the specification is of another version: {error}"))
-    })?;
+    let spec = JobSpec::read(&claimed.spec).map_err(|error| JobError::Fail(error.to_string()))?;
     tracing::info!(job = context.id(), kind = ?claimed.kind, "computes");
     match spec {
         JobSpec::Calibration(spec) => calibrate::perform(context, &spec),
