@@ -51,10 +51,8 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 27] = [
-    ("sqlx::", &["store", "jobs"]),
-    ("apalis::", &["jobs"]),
-    ("apalis_", &["jobs"]),
+const CONFINED: [(&str, &[&str]); 25] = [
+    ("sqlx::", &["store"]),
     ("axum::", &["api"]),
     ("hyper_util::", &["api", "hardware", "emulate"]),
     ("http_body::", &["api"]),

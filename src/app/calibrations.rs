@@ -1,6 +1,6 @@
 //! Calibrations: from a flowability to parameter sets.
 
-use super::jobs::{corrupt, stored};
+use super::jobs::{corrupt, specification, stored};
 use super::{App, Error, Result};
 use crate::jobs::calibrate::{CalibrationResult, Design, Method, Posterior, Settings};
 use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
@@ -244,7 +244,7 @@ fn at_reference(
 }
 
 fn calibration(row: JobRow) -> Result<Calibration> {
-    let JobSpec::Calibration(spec) = stored(&row.spec)? else {
+    let JobSpec::Calibration(spec) = specification(&row)? else {
         return Err(corrupt("a calibration's specification"));
     };
     Ok(Calibration {

@@ -2,7 +2,7 @@
 //! controllers.
 
 use super::check::Check;
-use super::jobs::{corrupt, stored};
+use super::jobs::{corrupt, specification, stored};
 use super::trainings::without_sets;
 use super::{App, Error, Result};
 use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, POLICY, rival, tuned_schedule};
@@ -284,7 +284,7 @@ pub(super) fn unmet(sets: Vec<CalibratedSet>, policy: &Policy) -> Vec<Calibrated
 }
 
 fn evaluation(row: JobRow) -> Result<Evaluation> {
-    let JobSpec::Evaluation(spec) = stored(&row.spec)? else {
+    let JobSpec::Evaluation(spec) = specification(&row)? else {
         return Err(corrupt("an evaluation's specification"));
     };
     Ok(Evaluation {

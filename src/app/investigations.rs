@@ -4,7 +4,7 @@
 use super::campaign_csv::{self, CampaignRead};
 use super::check::Check;
 use super::csv_file::date::DateOrder;
-use super::jobs::{corrupt, stored};
+use super::jobs::{corrupt, specification, stored};
 use super::trace_csv::{self, TracesRead};
 use super::{App, Error, Result};
 use crate::jobs::{Heaps, InvestigationSpec, JobSpec, SIMULATOR};
@@ -296,7 +296,7 @@ struct Glance {
 }
 
 fn without_report(row: JobRow) -> Result<Investigation> {
-    let JobSpec::Investigation(spec) = stored(&row.spec)? else {
+    let JobSpec::Investigation(spec) = specification(&row)? else {
         return Err(corrupt("an investigation's specification"));
     };
     let found: Option<Glance> = row.result.as_deref().map(stored).transpose()?;

@@ -1,6 +1,7 @@
 //! Jobs of every kind.
 
 use super::{App, Error, Result};
+use crate::jobs::JobSpec;
 use flip_core::domain::job::{JobKind, JobState};
 use flip_store as store;
 use flip_store::jobs::{Job, JobRow};
@@ -52,6 +53,11 @@ impl App {
 /// Parses a stored JSON document.
 pub(super) fn stored<T: DeserializeOwned>(text: &str) -> Result<T> {
     serde_json::from_str(text).map_err(|error| Error::Internal(error.into()))
+}
+
+/// What a job was asked for.
+pub(super) fn specification(row: &JobRow) -> Result<JobSpec> {
+    JobSpec::read(&row.spec).map_err(|error| Error::Internal(error.into()))
 }
 
 /// The error for invalid stored data.

@@ -2,7 +2,7 @@
 //! comparison of automated with manual measurements.
 
 use super::check::Check;
-use super::jobs::{corrupt, stored};
+use super::jobs::{corrupt, specification, stored};
 use super::trainings::without_sets;
 use super::vials::refused;
 use super::weighings::latched;
@@ -242,7 +242,7 @@ fn no_pile_waits() -> Error {
 }
 
 fn repose(row: JobRow) -> Result<ReposeMeasurement> {
-    let JobSpec::Repose(spec) = stored(&row.spec)? else {
+    let JobSpec::Repose(spec) = specification(&row)? else {
         return Err(corrupt("a measurement's specification"));
     };
     let ReposeSpec { powder, run, procedure, rig, limits, bench, .. } = spec;

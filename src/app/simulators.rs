@@ -1,7 +1,7 @@
 //! Simulator versions: the extensions made by investigations, and their predictions.
 
 use super::current_simulator::{BASE, CURRENT};
-use super::jobs::{corrupt, stored};
+use super::jobs::{corrupt, specification, stored};
 use super::{App, Error, Result, campaign_csv};
 use crate::jobs::{JobSpec, SIMULATOR};
 use flip_core::domain::FieldError;
@@ -92,7 +92,7 @@ impl App {
             .job(&version.investigation)
             .await?
             .ok_or_else(|| corrupt("an investigation"))?;
-        let JobSpec::Investigation(spec) = stored(&made.spec)? else {
+        let JobSpec::Investigation(spec) = specification(&made)? else {
             return Err(corrupt("an investigation's specification"));
         };
         let report: Option<Report> = made.result.as_deref().map(stored).transpose()?;

@@ -1,7 +1,7 @@
 //! Trainings: from parameter sets to a policy.
 
 use super::check::Check;
-use super::jobs::{corrupt, stored};
+use super::jobs::{corrupt, specification, stored};
 use super::{App, Error, Result};
 use crate::jobs::spoon::measured;
 use crate::jobs::train::{
@@ -298,7 +298,7 @@ fn level(powder: String, repose_deg: Option<f64>, sets: &[CalibratedSet]) -> Lev
 }
 
 fn training(row: JobRow) -> Result<Training> {
-    let JobSpec::Training(spec) = stored(&row.spec)? else {
+    let JobSpec::Training(spec) = specification(&row)? else {
         return Err(corrupt("a training's specification"));
     };
     let level = |level: Level| TrainingLevel {

@@ -35,7 +35,9 @@ impl From<store::Error> for JobError {
         match error {
             // The current holder of the lease will do it.
             store::Error::Fenced => Self::Stopped,
-            store::Error::Corrupt(_) => Self::Fail(error.to_string()),
+            store::Error::Corrupt(_) | store::Error::UnknownWord { .. } => {
+                Self::Fail(error.to_string())
+            }
             other => Self::Retry(other.to_string()),
         }
     }

@@ -36,11 +36,6 @@ impl Lanes {
         self.of(kind).clone().try_acquire_owned().ok()
     }
 
-    /// Whether jobs of these kinds compete for the same slots.
-    pub fn share(&self, a: JobKind, b: JobKind) -> bool {
-        Arc::ptr_eq(self.of(a), self.of(b))
-    }
-
     fn of(&self, kind: JobKind) -> &Arc<Semaphore> {
         match kind {
             JobKind::Training => &self.trainings,

@@ -2,18 +2,17 @@
 //! meet.
 //!
 //! ```text
-//!  App -- row + delivery, one transaction --> [store]
-//!                                               | queue.rs (apalis) delivers: at least once, nothing more
-//!                                               v
-//!  worker.rs   take a lane (lanes.rs) and claim the row: fence + lease; without either nothing is done, and it is delivered again
+//!  App -- a row --> [store: the ledger is the queue]
+//!     | wakes             | the oldest row of each kind
+//!     v                   v
+//!  worker.rs   take a slot of its lane (lanes.rs) and claim the row: fence + lease
 //!     |        lease.rs renews the lease from a thread of its own
 //!     v
 //!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, investigate.rs, one at a time | repose.rs, on the bench
 //!              load inputs, call the pure function, save what it finds; every write carries the fence
 //! ```
 //!
-//! `reconcile.rs` redelivers jobs that are in the ledger but lost from the queue. Weighings are not
-//! jobs: see `bench/`.
+//! Weighings are not jobs: see `bench/`.
 
 pub mod bench;
 pub mod calibrate;
@@ -26,8 +25,6 @@ mod lanes;
 mod lease;
 pub mod observe;
 mod priority;
-mod queue;
-mod reconcile;
 pub mod repose;
 mod spec;
 pub mod spoon;
@@ -112,7 +109,7 @@ pub enum Workers {
 /// without waiting.
 pub struct Jobs {
     shared: Arc<Shared>,
-    tasks: Mutex<Vec<JoinHandle<()>>>,
+    worker: Mutex<Option<JoinHandle<()>>>,
     bench: Bench,
 }
 
@@ -129,8 +126,8 @@ struct Shared {
     /// Jobs being computed, by id.
     running: Mutex<HashMap<String, Running>>,
     lanes: Lanes,
-    /// Wakes the reconciler.
-    reconcile: Notify,
+    /// Wakes the worker: a job waits, or a slot is free.
+    wake: Notify,
     /// Cancelled when no more work is taken.
     closing: CancellationToken,
     /// Computing runs at a lower priority than answering.
@@ -138,8 +135,7 @@ struct Shared {
 }
 
 impl Jobs {
-    /// Prepares the queue's tables; unless `workers` is none, takes up what the last process left
-    /// and starts to work.
+    /// Unless `workers` is none, takes up what the last process left and starts to work.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -148,7 +144,6 @@ impl Jobs {
         functions: Functions,
         workers: Workers,
     ) -> store::Result<Self> {
-        queue::migrate(&store).await?;
         let simulated = || bench::Apparatus::without_devices(functions.pour.clone());
         let bench =
             Bench::open(store.clone(), functions.bench.clone().unwrap_or_else(simulated)).await?;
@@ -157,11 +152,11 @@ impl Jobs {
             functions,
             running: Mutex::default(),
             lanes: Lanes::new(),
-            reconcile: Notify::new(),
+            wake: Notify::new(),
             closing: CancellationToken::new(),
             gives_way: workers == Workers::GiveWay,
         });
-        let jobs = Self { shared, tasks: Mutex::default(), bench };
+        let jobs = Self { shared, worker: Mutex::default(), bench };
         if workers == Workers::GiveWay {
             priority::make_pool_give_way();
         }
@@ -175,19 +170,13 @@ impl Jobs {
     /// one are free.
     async fn take_up(&self) -> store::Result<()> {
         self.shared.store.end_leases().await?;
-        queue::forget_deliveries(&self.shared.store).await?;
-        reconcile::deliver_again(&self.shared.store).await?;
         self.bench.start().await?;
-        let tasks = [
-            tokio::spawn(worker::supervise(self.shared.clone())),
-            tokio::spawn(reconcile::keep_delivering(self.shared.clone())),
-        ];
-        self.tasks.lock().unwrap_or_else(PoisonError::into_inner).extend(tasks);
+        let worker = tokio::spawn(worker::work(self.shared.clone()));
+        *self.worker.lock().unwrap_or_else(PoisonError::into_inner) = Some(worker);
         Ok(())
     }
 
-    /// Queues a job and its delivery in one transaction. `false`: the same job was requested
-    /// before, and this is it.
+    /// Queues a job. `false`: the same job was requested before, and this is it.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -216,11 +205,11 @@ impl Jobs {
         let (text, sha256) = spec.canonical();
         let (job, created) = tx.insert_job(&new_id(), spec.kind(), &text, &sha256, now()).await?;
         if created {
-            queue::push(&mut tx, spec.kind(), &Lease { job: job.id.clone(), fence: 0 }).await?;
             let kind = serde_json::json!(spec.kind());
             let action = format!("start {}", kind.as_str().unwrap_or("job"));
             tx.audit_deed(None, &action, serde_json::json!({ "job": job.id }), now()).await?;
             tx.commit().await?;
+            self.shared.wake.notify_one();
         }
         Ok((job, created))
     }
@@ -260,11 +249,11 @@ impl Jobs {
             running.stop.set(Stop::Shutdown);
         }
         self.bench.shutdown().await;
-        let tasks = std::mem::take(&mut *self.tasks.lock().unwrap_or_else(PoisonError::into_inner));
-        for task in tasks {
-            if let Err(error) = task.await {
-                tracing::error!(%error, "a task of the job machinery ended badly");
-            }
+        let worker = self.worker.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(worker) = worker
+            && let Err(error) = worker.await
+        {
+            tracing::error!(%error, "the worker ended badly");
         }
     }
 }

@@ -1,4 +1,9 @@
 //! Specifications of jobs: everything that the result depends on, and nothing else.
+//!
+//! A stored text is a content address, so version 1 is written as it always was: fields that were
+//! added to it are omitted where they are usual. That ends with version 1. The next field makes
+//! version 2: its texts begin with their number, and [`JobSpec::read`] upgrades those of version 1,
+//! saying in one place what the absence of the field meant.
 
 use super::conditions::Conditions;
 use flip_bench::hardware::stand::Procedure;
@@ -22,6 +27,33 @@ use sha2::{Digest, Sha256};
 /// Version of this program's simulator. It is part of every specification: results of different
 /// versions are never mixed.
 pub const SIMULATOR: &str = sim::VERSION;
+
+/// Version of the specifications written here; a text without a number is of version 1.
+const VERSION: u32 = 1;
+
+/// Why a stored specification cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum Unreadable {
+    /// A newer FLIP wrote it.
+    #[error(
+        "the specification is of version {0}, and this FLIP reads up to {VERSION}: use the program that wrote it"
+    )]
+    Newer(u32),
+    /// It is not of the version that it claims.
+    #[error("the specification does not read as one of version {VERSION}: {0}")]
+    Malformed(#[from] serde_json::Error),
+}
+
+/// The number of a specification's version.
+#[derive(Deserialize)]
+struct Numbered {
+    #[serde(default = "unnumbered")]
+    version: u32,
+}
+
+fn unnumbered() -> u32 {
+    1
+}
 
 /// Specification of a job. Equal specifications have equal results, so a second request for the
 /// same one gets the first's job.
@@ -196,6 +228,17 @@ impl JobSpec {
         }
     }
 
+    /// A stored specification, of any version so far.
+    ///
+    /// # Errors
+    /// [`Unreadable`]
+    pub fn read(text: &str) -> Result<Self, Unreadable> {
+        match serde_json::from_str::<Numbered>(text)?.version {
+            VERSION => Ok(serde_json::from_str(text)?),
+            other => Err(Unreadable::Newer(other)),
+        }
+    }
+
     /// Its canonical text and the text's SHA-256. Fields are written in the order of their
     /// definition, so equal values give equal text.
     pub(super) fn canonical(&self) -> (String, Vec<u8>) {
@@ -203,5 +246,32 @@ impl JobSpec {
             .expect("specifications hold only finite numbers, text and lists");
         let sha256 = Sha256::digest(&text).to_vec();
         (text, sha256)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_version_1_stored_reads_and_keeps_its_address() {
+        let stored = include_str!("spec/version_1.jsonl");
+        let mut kinds = std::collections::HashSet::new();
+        for text in stored.lines() {
+            let spec = JobSpec::read(text).unwrap();
+            assert_eq!(spec.canonical().0, text);
+            kinds.insert(spec.kind());
+        }
+        assert_eq!(kinds.len(), 5, "of each kind");
+    }
+
+    #[test]
+    fn a_newer_version_is_refused_by_its_number_and_damage_by_its_place() {
+        let text = include_str!("spec/version_1.jsonl").lines().next().unwrap();
+        let newer = text.replacen('{', "{\"version\":2,", 1);
+        assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(2))));
+        let damaged = text.replace("\"target\"", "\"targeted\"");
+        let error = JobSpec::read(&damaged).unwrap_err();
+        assert!(error.to_string().contains("missing field `target`"), "{error}");
     }
 }

@@ -1,24 +1,23 @@
-//! From a delivery to a settled row.
+//! From a waiting row to a settled one.
 
 use super::context::{JobContext, JobError};
 use super::lanes::Place;
 use super::lease::{Renewer, lease_end};
-use super::queue::{self, Delivery};
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
 use super::{Running, Shared, calibrate, evaluate, investigate, priority, repose, train};
-use flip_core::domain::job::{JobKind, JobState};
+use flip_core::domain::job::JobState;
 use flip_store::ledger::{Claim, Claimed, Lease};
-use flip_store::{self as store, now};
+use flip_store::{self as store, Store, now};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 
-/// Delay before restarting a worker that failed, and the maximum after repeated failures.
-const RESTART: Duration = Duration::from_millis(500);
-const RESTART_MAX: Duration = Duration::from_secs(30);
+/// How often an idle worker looks for jobs that nothing has woken it for: those whose lease has
+/// expired, and those of another process.
+const POLL: Duration = Duration::from_secs(2);
 
 /// How long a computation may continue after it was asked to stop: one heap on a busy machine takes
 /// longer than a shutdown may wait.
@@ -29,36 +28,17 @@ const GRACE: Duration = Duration::from_secs(8);
 const SETTLE_TRIES: u32 = 30;
 const SETTLE_PAUSE: Duration = Duration::from_secs(1);
 
-/// Keeps a queue worker running until the machinery closes: the library ends one on the first
-/// statement that fails.
-pub(super) async fn supervise(shared: Arc<Shared>) {
-    let mut pause = RESTART;
+/// Starts waiting jobs until the machinery closes, then waits for those that run.
+pub(super) async fn work(shared: Arc<Shared>) {
+    let owner = format!("flip-{}", store::new_id());
     while !shared.closing.is_cancelled() {
-        // A new name for every start: the library's fence is the name.
-        let name = format!("flip-{}", store::new_id());
-        let handling = shared.clone();
-        let owner = name.clone();
-        let handle = move |delivery: Delivery| {
-            let (shared, owner) = (handling.clone(), owner.clone());
-            async move { handle(shared, owner, delivery).await }
-        };
-        let ended = match queue::run(&shared.store, &name, handle, shared.closing.clone()) {
-            Ok(running) => tokio::select! {
-                ended = running => ended.map_err(|error| error.to_string()),
-                () = queue::silence(&shared.store, &name) => Err("it was not heard of any more".to_owned()),
-            },
-            Err(error) => Err(error.to_string()),
-        };
-        match ended {
-            Ok(()) => pause = RESTART,
-            Err(error) => {
-                tracing::error!(%error, "the queue worker ended; another starts in {pause:?}");
-                tokio::select! {
-                    () = tokio::time::sleep(pause) => {}
-                    () = shared.closing.cancelled() => {}
-                }
-                pause = (pause * 2).min(RESTART_MAX);
-            }
+        if let Err(error) = start_waiting(&shared, &owner).await {
+            tracing::warn!(%error, "waiting jobs were not started; the next try may");
+        }
+        tokio::select! {
+            () = shared.closing.cancelled() => {}
+            () = shared.wake.notified() => {}
+            () = tokio::time::sleep(POLL) => {}
         }
     }
     // A running computation holds a slot until the row is settled.
@@ -91,42 +71,24 @@ async fn leave_behind(shared: &Shared) {
     }
 }
 
-/// Handles one delivery: starts the job that has waited longest for such a slot, or leaves it to
-/// the reconciler, which redelivers jobs that can be claimed. Which job was delivered does not
-/// matter: deliveries overtake one another.
-async fn handle(shared: Arc<Shared>, owner: String, delivery: Delivery) {
-    // The next job to free a slot wakes the reconciler.
-    let Some(place) = shared.lanes.take(delivery.kind) else { return };
-    match claim_oldest(&shared, &owner, delivery.kind).await {
-        Ok(Some(claimed)) => compute(shared, claimed, place),
-        Ok(None) => {}
-        // The row is unchanged.
-        Err(error) => tracing::error!(job = delivery.job, %error, "could not claim a job"),
-    }
-}
-
-/// Claims the oldest job that waits for a slot of this kind. `None`: there is none.
-async fn claim_oldest(
-    shared: &Shared,
-    owner: &str,
-    kind: JobKind,
-) -> store::Result<Option<Claimed>> {
-    let waiting = shared.store.claimable(now()).await?;
-    for (_, lease) in waiting.iter().filter(|(waits, _)| shared.lanes.share(*waits, kind)) {
-        if let Some(claimed) = claim(shared, owner, &lease.job).await? {
-            return Ok(Some(claimed));
+/// Starts jobs, each time the one that has waited longest for a slot that is free, until there is
+/// none.
+async fn start_waiting(shared: &Arc<Shared>, owner: &str) -> store::Result<()> {
+    while !shared.closing.is_cancelled() {
+        let mut waiting = shared.store.claimable(now()).await?.into_iter();
+        let next = waiting.find_map(|(kind, job)| Some((job, shared.lanes.take(kind)?)));
+        let Some((job, place)) = next else { break };
+        if let Some(claimed) = claim(&shared.store, owner, &job).await? {
+            compute(shared.clone(), claimed, place);
         }
     }
-    Ok(None)
+    Ok(())
 }
 
 /// Claims a job. `None`: there is nothing to do, or another lease is still valid.
-async fn claim(shared: &Shared, owner: &str, job: &str) -> store::Result<Option<Claimed>> {
-    if shared.closing.is_cancelled() {
-        return Ok(None);
-    }
+async fn claim(store: &Store, owner: &str, job: &str) -> store::Result<Option<Claimed>> {
     let at = now();
-    let mut tx = shared.store.write().await?;
+    let mut tx = store.write().await?;
     let claim = tx.claim(job, owner, at, lease_end(at)).await?;
     tx.commit().await?;
     match claim {
@@ -185,13 +147,11 @@ fn on_compute_thread(
     runtime.block_on(settle_surely(shared, &lease, stop, ended));
     shared.running().remove(&lease.job);
     drop(place);
-    shared.reconcile.notify_one();
+    shared.wake.notify_one();
 }
 
 fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
-    let spec = serde_json::from_str(&claimed.spec).map_err(|error| {
-        JobError::Fail(format!("the specification is of another version: {error}"))
-    })?;
+    let spec = JobSpec::read(&claimed.spec).map_err(|error| JobError::Fail(error.to_string()))?;
     tracing::info!(job = context.id(), kind = ?claimed.kind, "computes");
     match spec {
         JobSpec::Calibration(spec) => calibrate::perform(context, &spec),

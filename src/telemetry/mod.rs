@@ -28,7 +28,7 @@ pub enum Format {
 }
 
 /// Default filter of a service when `FLIP_LOG` is not set.
-pub const SERVICE: &str = "info,apalis=warn,sqlx=warn";
+pub const SERVICE: &str = "info,sqlx=warn";
 /// Default filter of a single command when `FLIP_LOG` is not set: its progress bars show the rest.
 pub const COMMAND: &str = "warn";
 

@@ -40,8 +40,7 @@ async fn a_database_that_somebody_locks_for_a_while_costs_time_and_nothing_else(
     let (folder, app) = open(slow).await;
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
     until("it runs", async || app.job(&job.id).await.unwrap().state == JobState::Running).await;
-    // Longer than any of our connections waits: the queue's worker ends, and the current trial is
-    // not saved.
+    // Longer than any of our connections waits: the current trial is not saved.
     let path = SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
     let mut intruder = path.connect().await.unwrap();
     let lock = intruder.begin_with("BEGIN IMMEDIATE").await.unwrap();
@@ -72,5 +71,19 @@ async fn a_job_that_saves_something_in_each_attempt_is_not_given_up() {
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
     let job = ended(&app, &job.id).await;
     assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_starts_at_once_and_not_when_the_worker_looks_again() {
+    let (_folder, app) = open(functions()).await;
+    let first = app.start_calibration(calibration_of("sand", 1)).await.unwrap().0;
+    ended(&app, &first.id).await;
+    // The worker has just looked, and looks again in 2 s.
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    let second = app.start_calibration(calibration_of("sand", 2)).await.unwrap().0;
+    let second = ended(&app, &second.id).await;
+    let waited_ms = second.started_at.unwrap().unix_ms() - second.created_at.unix_ms();
+    assert!(waited_ms < 1000, "{waited_ms} ms");
     app.shutdown().await.unwrap();
 }

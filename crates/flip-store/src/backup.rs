@@ -135,18 +135,18 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     let database = folder.join(DATABASE);
     let original = Store::open_to_read(from).await?;
     let name = database.to_string_lossy().into_owned();
-    let copied = sqlx::query("VACUUM INTO ?1").bind(name).execute(original.reader()).await;
+    let copied = sqlx::query("VACUUM INTO ?1").bind(name).execute(&original.reader).await;
     copied.map_err(Error::from)?;
     let failed = |source| Error::File { path: database.clone(), source };
     fs::set_permissions(&database, Permissions::from_mode(0o600)).map_err(failed)?;
     File::open(&database).and_then(|file| file.sync_all()).map_err(failed)?;
 
     let copy = Store::open_to_read(folder).await?;
-    sound::check(copy.reader(), &database).await?;
-    let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(copy.reader()).await?;
+    sound::check(&copy.reader, &database).await?;
+    let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(&copy.reader).await?;
     let mut lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
     let named_archives: Vec<(String, String)> =
-        sqlx::query_as(archive::NAMED).fetch_all(copy.reader()).await?;
+        sqlx::query_as(archive::NAMED).fetch_all(&copy.reader).await?;
     let archives = copy_archives(&named_archives, &archives(from), &archives(folder))?;
     lost.extend(archives.gone.into_iter().chain(archives.damaged.iter().cloned()));
     let found = copy.verify_audit(None).await?;
@@ -277,7 +277,7 @@ mod tests {
         let restored = Store::open(&back).await.unwrap();
         let count = "SELECT count(*) FROM powder WHERE id LIKE 'powder_%'";
         assert_eq!(
-            sqlx::query_scalar::<_, i64>(count).fetch_one(restored.reader()).await.unwrap(),
+            sqlx::query_scalar::<_, i64>(count).fetch_one(&restored.reader).await.unwrap(),
             20
         );
         store.close().await;

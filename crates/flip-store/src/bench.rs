@@ -28,7 +28,7 @@ pub struct Latch {
 /// Topic of the bench's events.
 pub const BENCH_TOPIC: &str = "bench";
 /// The open latch. One from before benches were stored has the bench of its weighing.
-const OPEN: &str = "SELECT at, reason, weighing, coalesce(bench, (SELECT bench FROM weighing WHERE id = latch.weighing)) AS bench \
+const OPEN: &str = "SELECT seq, at, reason, weighing, coalesce(bench, (SELECT bench FROM weighing WHERE id = latch.weighing)) AS bench \
                     FROM latch WHERE cleared_at IS NULL";
 
 impl Store {
@@ -125,13 +125,11 @@ impl Tx {
 }
 
 fn latch(row: &SqliteRow) -> Result<Latch> {
-    let bench =
-        row.plain::<Option<String>>("bench")?.is_some().then(|| row.word("bench")).transpose()?;
     Ok(Latch {
         at: row.time("at")?,
         reason: row.plain("reason")?,
         weighing: row.plain("weighing")?,
-        bench,
+        bench: row.maybe_word("latch", "bench")?,
     })
 }
 

@@ -20,10 +20,9 @@ pub struct Counts {
 impl Store {
     /// All counts.
     pub async fn counts(&self) -> Result<Counts> {
-        let sql =
-            "SELECT kind, state, count(*) AS n FROM job GROUP BY kind, state ORDER BY kind, state";
+        let sql = "SELECT kind, state, min(seq) AS seq, count(*) AS n FROM job GROUP BY kind, state ORDER BY kind, state";
         let jobs = sqlx::query(sql).fetch_all(&self.reader).await?;
-        let sql = "SELECT state, outcome, count(*) AS n FROM weighing GROUP BY state, outcome ORDER BY state, outcome";
+        let sql = "SELECT state, outcome, min(seq) AS seq, count(*) AS n FROM weighing GROUP BY state, outcome ORDER BY state, outcome";
         let weighings = sqlx::query(sql).fetch_all(&self.reader).await?;
         let sql = "SELECT (SELECT min(created_at) FROM job WHERE state = 'queued') AS job, \
                    (SELECT min(created_at) FROM weighing WHERE outcome IS NULL AND started_at IS NULL) AS weighing";
@@ -36,17 +35,17 @@ impl Store {
         };
         Ok(Counts {
             waits_s: [("jobs", waits_s("job")?), ("weighings", waits_s("weighing")?)],
-            jobs: jobs
-                .iter()
-                .map(|row| Ok(((row.word("kind")?, row.word("state")?), row.count("n")?)))
-                .collect::<Result<_>>()?,
+            jobs: jobs.iter().map(job).collect::<Result<_>>()?,
             weighings: weighings.iter().map(weighing).collect::<Result<_>>()?,
         })
     }
 }
 
+fn job(row: &SqliteRow) -> Result<((JobKind, JobState), u32)> {
+    Ok(((row.word("job", "kind")?, row.word("job", "state")?), row.count("n")?))
+}
+
 fn weighing(row: &SqliteRow) -> Result<((WeighingState, Option<Outcome>), u32)> {
-    let ended = row.plain::<Option<String>>("outcome")?.is_some();
-    let outcome = if ended { Some(row.word("outcome")?) } else { None };
-    Ok(((row.word("state")?, outcome), row.count("n")?))
+    let state = row.word("weighing", "state")?;
+    Ok(((state, row.maybe_word("weighing", "outcome")?), row.count("n")?))
 }

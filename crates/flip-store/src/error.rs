@@ -63,6 +63,20 @@ pub enum Error {
     /// The SQLite in this program predates the fix for the reset of the write-ahead log.
     #[error("SQLite {0} is too old: 3.51.3 or newer is needed")]
     Old(String),
+    /// A row holds a word that this program does not know: a kind, a state, an outcome.
+    #[error(
+        "table {table}, row {row}: {column} is `{word}`, which this FLIP does not know: a newer one wrote it, or it was changed outside FLIP"
+    )]
+    UnknownWord {
+        /// The table.
+        table: &'static str,
+        /// The row's id, or its number if it has none.
+        row: String,
+        /// The column.
+        column: String,
+        /// The word.
+        word: String,
+    },
     /// The data read is not what was written.
     #[error("{0}")]
     Corrupt(String),

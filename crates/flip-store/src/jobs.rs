@@ -166,10 +166,10 @@ fn job_row(row: &SqliteRow) -> Result<JobRow> {
 }
 
 pub(super) fn job(row: &SqliteRow) -> Result<Job> {
-    let state: JobState = row.word("state")?;
+    let state: JobState = row.word("job", "state")?;
     Ok(Job {
         id: row.plain("id")?,
-        kind: row.word("kind")?,
+        kind: row.word("job", "kind")?,
         state,
         progress: Progress { fraction: row.plain("fraction")?, message: row.plain("message")? },
         attempts: row.count("attempts")?,

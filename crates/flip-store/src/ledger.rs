@@ -1,5 +1,4 @@
-//! The ledger: which worker computes which job. The queue may lose a delivery or deliver twice;
-//! this table decides.
+//! The ledger: the jobs that wait, and which worker computes which. It is the queue, too.
 //!
 //! ```text
 //!            claim                     succeed
@@ -68,16 +67,17 @@ pub enum Claim {
 }
 
 impl Store {
-    /// Jobs that are queued, or whose worker's lease has expired, with their kinds and fencing
-    /// tokens.
-    pub async fn claimable(&self, now: Timestamp) -> Result<Vec<(JobKind, Lease)>> {
-        let sql = "SELECT id, kind, fence FROM job \
-                   WHERE state = 'queued' OR (state = 'running' AND lease_until < ?1) ORDER BY seq";
+    /// The job of each kind that has waited longest, oldest first: queued, or left by a worker
+    /// whose lease has expired. A kind that is not known here waits for a program that knows it.
+    pub async fn claimable(&self, now: Timestamp) -> Result<Vec<(JobKind, String)>> {
+        // The list of states and the plus let the index of unfinished jobs answer: an idle worker
+        // must not read the history.
+        let sql = "SELECT id, kind FROM job WHERE seq IN \
+                   (SELECT min(seq) FROM job WHERE state IN ('queued', 'running') \
+                    AND (state = 'queued' OR lease_until < ?1) GROUP BY +kind) ORDER BY seq";
         let rows = sqlx::query(sql).bind(now.unix_ms()).fetch_all(&self.reader).await?;
-        let lease = |row: &SqliteRow| {
-            Ok::<_, Error>(Lease { job: row.plain("id")?, fence: row.plain("fence")? })
-        };
-        rows.iter().map(|row| Ok((row.word("kind")?, lease(row)?))).collect()
+        let known = |row: &SqliteRow| Some((row.word("job", "kind").ok()?, row.plain("id")));
+        rows.iter().filter_map(known).map(|(kind, id)| Ok((kind, id?))).collect()
     }
 
     /// Requeue running jobs, since nobody computes them. Sound only at startup: the lock on the
@@ -107,7 +107,7 @@ impl Tx {
             .fetch_optional(&mut *self.inner)
             .await?;
         let Some(row) = row else { return Ok(Claim::Ended) };
-        let state: JobState = row.word("state")?;
+        let state: JobState = row.word("job", "state")?;
         if state.is_terminal() {
             return Ok(Claim::Ended);
         }

@@ -48,7 +48,7 @@ use artifacts::Artifacts;
 use flip_core::domain::timestamp::Timestamp;
 use lock::DataLock;
 use place::Place;
-use sqlx::{Sqlite, SqliteConnection, SqlitePool, Transaction};
+use sqlx::{Sqlite, SqlitePool, Transaction};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 
@@ -88,17 +88,12 @@ impl Store {
         Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
     }
 
-    /// The write connection, for the queue library, which brings its own statements.
+    /// The write connection.
     ///
     /// # Errors
     /// [`Error::ReadOnly`].
     pub fn writer(&self) -> Result<&SqlitePool> {
         self.writer.as_ref().ok_or(Error::ReadOnly)
-    }
-
-    /// Read connections, for statements about the queue library's tables.
-    pub fn reader(&self) -> &SqlitePool {
-        &self.reader
     }
 
     /// Remember whether a transaction was written, for health checks.
@@ -170,11 +165,6 @@ impl Tx {
             }
         }
         Ok(())
-    }
-
-    /// The connection, for the queue library.
-    pub fn connection(&mut self) -> &mut SqliteConnection {
-        &mut self.inner
     }
 }
 

@@ -197,7 +197,7 @@ fn measurement(row: &SqliteRow) -> Result<Measurement> {
     Ok(Measurement {
         id: row.plain("id")?,
         powder: row.plain("powder")?,
-        method: row.word("method")?,
+        method: row.word("measurement", "method")?,
         repose_deg: row.plain("repose_deg")?,
         sd_deg,
         sd_unknown: n == 1 && sd_deg == 0.0,

@@ -3,7 +3,7 @@
 use super::{Error, Result};
 use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, IntoDeserializer};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Type};
 
@@ -17,8 +17,17 @@ pub(super) trait Columns {
     fn time(&self, column: &str) -> Result<Timestamp>;
     /// An optional time.
     fn maybe_time(&self, column: &str) -> Result<Option<Timestamp>>;
-    /// An enum, by its name.
-    fn word<T: DeserializeOwned>(&self, column: &str) -> Result<T>;
+    /// An enum, by its name; the schema does not list the names. `table` is where the row is from.
+    ///
+    /// # Errors
+    /// [`Error::UnknownWord`]
+    fn word<T: DeserializeOwned>(&self, table: &'static str, column: &str) -> Result<T>;
+    /// An optional enum.
+    fn maybe_word<T: DeserializeOwned>(
+        &self,
+        table: &'static str,
+        column: &str,
+    ) -> Result<Option<T>>;
     /// A JSON document.
     fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T>;
     /// An optional JSON document.
@@ -43,10 +52,25 @@ impl Columns for SqliteRow {
         Ok(self.plain::<Option<i64>>(column)?.map(Timestamp::from_unix_ms))
     }
 
-    fn word<T: DeserializeOwned>(&self, column: &str) -> Result<T> {
-        let name: String = self.plain(column)?;
-        serde_json::from_value(name.into())
-            .map_err(|error| Error::Corrupt(format!("{column}: {error}")))
+    fn word<T: DeserializeOwned>(&self, table: &'static str, column: &str) -> Result<T> {
+        self.maybe_word(table, column)?.ok_or_else(|| Error::Corrupt(format!("{column} is empty")))
+    }
+
+    fn maybe_word<T: DeserializeOwned>(
+        &self,
+        table: &'static str,
+        column: &str,
+    ) -> Result<Option<T>> {
+        let Some(word) = self.plain::<Option<String>>(column)? else { return Ok(None) };
+        let unknown = |word: String| Error::UnknownWord {
+            table,
+            row: name(self),
+            column: column.to_owned(),
+            word,
+        };
+        T::deserialize(word.as_str().into_deserializer())
+            .map(Some)
+            .map_err(|_: serde::de::value::Error| unknown(word))
     }
 
     fn json<T: DeserializeOwned>(&self, column: &str) -> Result<T> {
@@ -58,6 +82,12 @@ impl Columns for SqliteRow {
         let read = |text: String| serde_json::from_str(&text);
         text.map(read).transpose().map_err(|error| Error::Corrupt(format!("{column}: {error}")))
     }
+}
+
+/// What a row is called: its id, or its number.
+fn name(row: &SqliteRow) -> String {
+    let number = |_| row.try_get::<i64, _>("seq").map(|seq| seq.to_string());
+    row.try_get("id").or_else(number).unwrap_or_default()
 }
 
 /// The name of an enum's variant, as in JSON.

@@ -14,8 +14,8 @@ use std::path::Path;
 /// Up to this size a database is checked in full at each startup, bytes; a larger one without its
 /// indexes, which takes a tenth of the time.
 const CHECKED_IN_FULL: u64 = 64 << 20;
-/// FLIP numbers its migrations from 1; those of the queue library, in the same table, are numbered
-/// by date, in 14 digits.
+/// FLIP numbers its migrations from 1; those of the queue library that it used to have, in the same
+/// table, are numbered by date, in 14 digits.
 const OWN_MAX: i64 = 10_000_000_000;
 
 /// Create the folder and an empty database, accessible to this user only, if there is nothing yet.

@@ -146,7 +146,7 @@ fn entry(row: &SqliteRow) -> Result<TokenEntry> {
     Ok(TokenEntry {
         id: row.plain("id")?,
         name: row.plain("name")?,
-        role: row.word("role")?,
+        role: row.word("token", "role")?,
         may_clear: row.plain("may_clear")?,
         created_at: row.time("created_at")?,
         expires_at: row.maybe_time("expires_at")?,

@@ -266,7 +266,7 @@ impl Store {
     pub async fn interrupted_weighings(&self) -> Result<Vec<(String, BenchKind)>> {
         let sql = "SELECT id, coalesce(bench, 'simulated') AS bench FROM weighing WHERE state IN ('armed', 'dosing', 'settling')";
         let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
-        rows.iter().map(|row| Ok((row.plain("id")?, row.word("bench")?))).collect()
+        rows.iter().map(|row| Ok((row.plain("id")?, row.word("weighing", "bench")?))).collect()
     }
 }
 
@@ -468,23 +468,10 @@ fn weighing(row: &SqliteRow) -> Result<Weighing> {
         under: row.maybe_json("under")?,
         patch: row.maybe_json("patch")?.unwrap_or_default(),
         asked: row.maybe_json("asked")?.unwrap_or_default(),
-        vial_check: row
-            .plain::<Option<String>>("vial_check")?
-            .is_some()
-            .then(|| row.word("vial_check"))
-            .transpose()?
-            .unwrap_or_default(),
-        bench: row
-            .plain::<Option<String>>("bench")?
-            .is_some()
-            .then(|| row.word("bench"))
-            .transpose()?,
-        state: row.word("state")?,
-        outcome: row
-            .plain::<Option<String>>("outcome")?
-            .is_some()
-            .then(|| row.word("outcome"))
-            .transpose()?,
+        vial_check: row.maybe_word("weighing", "vial_check")?.unwrap_or_default(),
+        bench: row.maybe_word("weighing", "bench")?,
+        state: row.word("weighing", "state")?,
+        outcome: row.maybe_word("weighing", "outcome")?,
         dispensed_mg: row.plain("dispensed_mg")?,
         reading_mg: row.plain("reading_mg")?,
         error_mg: row.plain("error_mg")?,

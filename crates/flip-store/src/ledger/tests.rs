@@ -210,3 +210,25 @@ async fn a_job_that_nobody_computes_after_a_restart_is_not_said_to_run() {
     assert_eq!(ledger.claim("next", 1).await, Claim::Ended);
     assert_eq!(ledger.job().await.state, JobState::Failed);
 }
+
+#[tokio::test]
+async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
+    let ledger = Ledger::new().await;
+    let more = [("calibration 2", JobKind::Calibration), ("training", JobKind::Training)];
+    for (n, (id, kind)) in more.into_iter().enumerate() {
+        let sha256 = [n as u8; 32];
+        ledger.write(async |tx| tx.insert_job(id, kind, "{}", &sha256, at(0)).await).await.unwrap();
+    }
+    // Of a newer program, and older than any other.
+    let foreign = "INSERT INTO job (seq, id, kind, spec, spec_sha256, state, created_at) \
+                   VALUES (-1, 'foreign', 'seance', '{}', zeroblob(32), 'queued', 0)";
+    sqlx::query(foreign).execute(ledger.store.writer().unwrap()).await.unwrap();
+    let next = async |seconds| -> Vec<String> {
+        let claimable = ledger.store.claimable(at(seconds)).await.unwrap();
+        claimable.into_iter().map(|(_, job)| job).collect()
+    };
+    assert_eq!(next(0).await, ["job", "training"]);
+    ledger.granted("worker", 0).await;
+    assert_eq!(next(LEASE).await, ["calibration 2", "training"]);
+    assert_eq!(next(LEASE + 1).await, ["job", "training"]);
+}

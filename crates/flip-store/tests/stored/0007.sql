@@ -1,0 +1,2 @@
+INSERT INTO emulator_run (emulator, position, body)
+VALUES ('em-0123456789abcdef', 0, '{"index":0,"phase":"search","candidate":0,"parameters":{"particle_diameter_mm":0.307717,"adhesion":1.15382,"particle_adhesion_scale":0.39715,"adhesion_offset_scale":0.0000334421,"friction":0.5407,"gravity_scale":0.917325,"damping":0.60653,"cohesion":0.42289,"particle_mass_ug":15.76654},"seed":14070900780685904758,"readings":1,"tip_deg":37.44495,"cone_deg":34.741607,"creep_deg_per_s":0.0,"refusal":null,"error_deg":1.41495,"seconds":2.620778868}');

@@ -1,0 +1,2 @@
+INSERT INTO job (seq, id, kind, spec, spec_sha256, state, fence, attempts, failures, deaths, owner, lease_until, cancel_requested, fraction, message, checkpoint, result, error, created_at, started_at, finished_at)
+VALUES (10, 'i-1', 'investigation', '{"investigation":{"seed":1}}', x'6e0d35487d333220f9b2eb162ca7a4049f38f0c4280b55978169c1f103a57992', 'succeeded', 1, 1, 0, 0, NULL, NULL, 0, 1.0, 'done', NULL, '{"claims":[]}', NULL, 1791633600010, 1791633600001, 1791633600002);
