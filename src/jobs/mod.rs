@@ -44,6 +44,7 @@ pub use spec::{
 };
 
 use bench::Bench;
+use flip_bench::rig::{Rig, Simulated};
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::repose::{self as heap, Refusal, Repose};
@@ -53,6 +54,7 @@ use flip_store::pan::Refused;
 use flip_store::{self as store, Store, Tx, new_id, now};
 use lanes::Lanes;
 use std::collections::HashMap;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use stop::{Stop, StopFlag};
 use tokio::sync::Notify;
@@ -78,10 +80,10 @@ pub struct Functions {
     pub observe: Observe,
     /// A training.
     pub train: train::Train,
-    /// One weighing on the simulator, as used by evaluations.
-    pub pour: bench::Pour,
-    /// The apparatus driven by the bench's lane; none: the simulator of `pour`.
-    pub bench: Option<bench::Apparatus>,
+    /// One dose on the simulator, as evaluations weigh it.
+    pub weigh: evaluate::Weigh,
+    /// What the bench's lane moves.
+    pub rig: Arc<dyn Rig>,
 }
 
 impl Default for Functions {
@@ -90,8 +92,8 @@ impl Default for Functions {
             simulate: Arc::new(heap::repose),
             observe: Arc::new(flip_sim::observe::observe),
             train: train::simulated(),
-            pour: bench::simulated(),
-            bench: None,
+            weigh: Arc::new(evaluate::simulated),
+            rig: Arc::new(Simulated),
         }
     }
 }
@@ -126,6 +128,8 @@ struct Running {
 struct Shared {
     store: Store,
     functions: Functions,
+    /// The bench is held: nothing on it starts.
+    held: Arc<AtomicBool>,
     /// Jobs being computed, by id.
     running: Mutex<HashMap<String, Running>>,
     lanes: Lanes,
@@ -149,12 +153,12 @@ impl Jobs {
         workers: Workers,
     ) -> store::Result<Self> {
         queue::migrate(&store).await?;
-        let simulated = || bench::Apparatus::without_devices(functions.pour.clone());
-        let bench =
-            Bench::open(store.clone(), functions.bench.clone().unwrap_or_else(simulated)).await?;
+        let held = Arc::<AtomicBool>::default();
+        let bench = Bench::open(store.clone(), functions.rig.clone(), held.clone()).await?;
         let shared = Arc::new(Shared {
             store,
             functions,
+            held,
             running: Mutex::default(),
             lanes: Lanes::new(),
             reconcile: Notify::new(),
