@@ -208,8 +208,8 @@ mod tests {
         let held = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
         sqlx::query("PRAGMA busy_timeout = 1").execute(store.writer().unwrap()).await.unwrap();
         let lease = Lease { job: "j".into(), fence: 1 };
-        let (functions, held, stop) = (Functions::default(), Arc::default(), Arc::default());
-        let context = JobContext::new(store, functions, held, lease, stop, Handle::current());
+        let (functions, free, stop) = (Functions::default(), Arc::default(), Arc::default());
+        let context = JobContext::new(store, functions, free, lease, stop, Handle::current());
         let told = move || {
             let progress = Progress { fraction: 0.0, message: "the powder runs out".into() };
             let now = context.report_meanwhile(&progress);
