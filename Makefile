@@ -11,7 +11,7 @@
 # make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
 # make stale   results in docs that are older than the code they speak of
 # make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
-# make check  what is wrong without running a test: format, clippy, licences, and the README's own commands
+# make check  what is wrong without running a test: format, clippy, licences, repeated blocks, and the README's own commands
 # make web    the page alone · make bench   the hot loops · make lint   make check's first half and the code's documentation
 
 SHELL := /bin/bash
@@ -144,6 +144,7 @@ training-report: setup
 check: setup
 	cargo fmt --all --check
 	python3 .ci/deny.py
+	python3 .ci/repeats.py
 	cargo build --release --locked --bin flip
 	python3 .ci/readme.py "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings

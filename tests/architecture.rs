@@ -5,13 +5,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may name; a room may always name itself. A crate of one room is not here: its manifest says what it may name.
-const ARROWS: [(&str, &[&str]); 13] = [
+const ARROWS: [(&str, &[&str]); 14] = [
     ("domain", &[]),
     ("stats", &[]),
     ("hardware", &["domain"]),
     ("emulate", &["domain", "stats", "sim", "hardware"]),
     ("pile", &["domain", "stats", "hardware"]),
     ("weigh", &["domain", "stats", "hardware", "policy"]),
+    ("rig", &["domain", "sim", "policy", "hardware", "emulate", "weigh"]),
     ("calibrate", &["domain", "stats"]),
     ("train", &["domain", "sim", "policy", "stats"]),
     (
@@ -28,12 +29,16 @@ const ARROWS: [(&str, &[&str]); 13] = [
             "discover",
             "train",
             "weigh",
+            "rig",
             "store",
         ],
     ),
-    ("app", &["domain", "store", "jobs", "policy", "discover", "emulate", "hardware", "pile"]),
+    (
+        "app",
+        &["domain", "store", "jobs", "policy", "discover", "emulate", "hardware", "pile", "rig"],
+    ),
     ("api", &["domain", "app"]),
-    ("cli", &["domain", "sim", "hardware", "emulate", "app", "api", "telemetry"]),
+    ("cli", &["domain", "sim", "hardware", "emulate", "rig", "app", "api", "telemetry"]),
     ("telemetry", &[]),
 ];
 
@@ -78,7 +83,7 @@ const CONFINED: [(&str, &[&str]); 25] = [
     ("async fn", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
     ("std::fs", &["store", "api", "cli", "emulate"]),
     ("std::net", &["api", "cli", "hardware", "emulate"]),
-    ("Instant", &["hardware", "emulate", "jobs", "store", "app", "api", "cli", "train"]),
+    ("Instant", &["hardware", "emulate", "rig", "jobs", "store", "app", "api", "cli", "train"]),
 ];
 
 /// Names that say nothing about what a file holds.

@@ -4,8 +4,9 @@
 use super::check::Check;
 use super::weighings::latched;
 use super::{App, Error, Result};
-use crate::jobs::bench::{Bench, Change, PileInMaking, PileStand, Standing, Unwritten};
+use crate::jobs::bench::{Bench, Change, Standing, Unwritten};
 use flip_bench::hardware::DeviceError;
+use flip_bench::rig::{PileInMaking, PileStand};
 use flip_core::domain::FieldError;
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
@@ -381,7 +382,7 @@ fn status(bench: &Bench) -> BenchStatus {
     BenchStatus {
         kind: Some(bench.kind()),
         devices: bench.devices(),
-        exchanges_vials: Some(bench.kind().exchanges_vials()),
+        exchanges_vials: Some(bench.exchanges_vials()),
         latch,
         held,
         moving,

@@ -40,9 +40,7 @@ mod trainings;
 mod vials;
 mod weighings;
 
-pub use crate::jobs::bench::{
-    Awaited, PileInMaking, Unwritten, devices as file_bench, emulated as emulated_bench,
-};
+pub use crate::jobs::bench::Unwritten;
 pub use crate::jobs::calibrate::{
     CalibrationResult, CalibrationSet, EmulatorUse, Marginal, Method as CalibrationMethod, Pair,
     Posterior, Shortfall,
@@ -68,7 +66,8 @@ pub use events::Topic;
 pub use flip_bench::emulate::lab::Settings as LaboratorySettings;
 pub use flip_bench::hardware::camera::Upload as FrameUpload;
 pub use flip_bench::hardware::stand::Procedure;
-pub use flip_bench::pile::{Compared, Limits as PileLimits, Rig};
+pub use flip_bench::pile::{Compared, Dimensions as PileDimensions, Limits as PileLimits};
+pub use flip_bench::rig::{Awaited, PileInMaking};
 pub use flip_core::domain::FieldError;
 pub use flip_core::domain::bench_check::Repeatability;
 pub use flip_core::domain::job::{JobKind, JobState, Progress};

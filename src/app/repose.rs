@@ -7,12 +7,12 @@ use super::trainings::without_sets;
 use super::vials::refused;
 use super::weighings::latched;
 use super::{App, Error, Result};
-use crate::jobs::bench::Awaited;
 use crate::jobs::repose::ReposeResult;
 use crate::jobs::{JobSpec, ReposeSpec};
 use flip_bench::hardware::camera::Upload;
 use flip_bench::hardware::stand::Procedure;
-use flip_bench::pile::{Compared, Limits, Rig, Stored, compare};
+use flip_bench::pile::{Compared, Dimensions, Limits, Stored, compare};
+use flip_bench::rig::{Awaited, PileStand};
 use flip_core::domain::FieldError;
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::job::JobKind;
@@ -44,7 +44,7 @@ pub struct ReposeRequest {
     pub procedure: Procedure,
     /// The rig, as measured with a ruler or calipers.
     #[serde(default)]
-    pub rig: Rig,
+    pub rig: Dimensions,
     /// What frames must show.
     #[serde(default)]
     pub limits: Limits,
@@ -67,7 +67,7 @@ pub struct ReposeMeasurement {
     /// How piles are made and imaged.
     pub procedure: Procedure,
     /// The rig.
-    pub rig: Rig,
+    pub rig: Dimensions,
     /// What frames must show.
     pub limits: Limits,
     /// The pile waiting for frames now.
@@ -161,11 +161,8 @@ impl App {
         let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Repose);
         let mut found = repose(row.ok_or_else(|| Error::not_found("repose measurement", id))?)?;
         found.piles = self.store().piles(id).await?;
-        found.awaits = self
-            .inner
-            .jobs
-            .as_ref()
-            .and_then(|jobs| jobs.bench().stand()?.inbox.as_ref()?.awaits(id));
+        found.awaits =
+            self.inner.jobs.as_ref().and_then(|jobs| jobs.bench().stand()?.inbox()?.awaits(id));
         Ok(found)
     }
 
@@ -196,7 +193,7 @@ impl App {
         let decoding = frame.clone();
         let decoded = tokio::task::spawn_blocking(move || decoding.decode().map(drop)).await;
         decoded.map_err(|error| Error::Internal(error.into()))??;
-        let inbox = jobs.bench().stand().and_then(|stand| stand.inbox.clone());
+        let inbox = jobs.bench().stand().and_then(PileStand::inbox);
         inbox.and_then(|inbox| inbox.add(id, frame)).ok_or_else(no_pile_waits)
     }
 

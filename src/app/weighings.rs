@@ -142,7 +142,7 @@ impl App {
         )?;
         check_asked(&request.asked)?;
         if request.asked.on_overdose != OnOverdose::Stop
-            && !self.jobs_or_refuse()?.bench().kind().exchanges_vials()
+            && !self.jobs_or_refuse()?.bench().exchanges_vials()
         {
             let advice = "must be `stop`: this bench cannot exchange vials by itself";
             return Err(FieldError::new("asked.on_overdose", advice).into());

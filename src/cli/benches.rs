@@ -1,12 +1,14 @@
 //! `--bench`: the bench that weighs.
 
 use super::failure::Failure;
-use crate::app::{Functions, LaboratorySettings, Options, emulated_bench, file_bench};
+use crate::app::{Functions, LaboratorySettings, Options};
 use crate::telemetry;
 use flip_bench::hardware::bench_file::BenchFile;
+use flip_bench::rig::{Devices, Emulated, Rig, Simulated};
 use flip_core::domain::FieldError;
 use flip_core::domain::spoon::{FilledBy, Spoon};
 use std::path::Path;
+use std::sync::Arc;
 
 /// The chosen bench.
 #[derive(Debug, Clone, clap::Args)]
@@ -25,16 +27,16 @@ impl BenchArguments {
 
     /// Options for an application with this bench.
     pub(super) fn options(&self) -> Result<Options, Failure> {
-        let bench = match self.bench.as_str() {
-            "simulated" => None,
-            "emulated" => Some(emulated_bench(LaboratorySettings::default())),
+        let rig: Arc<dyn Rig> = match self.bench.as_str() {
+            "simulated" => Arc::new(Simulated),
+            "emulated" => Arc::new(Emulated::new(LaboratorySettings::default())),
             file => {
                 let file = read("bench", Path::new(file))?;
                 remind(&file);
-                Some(file_bench(file))
+                Arc::new(Devices::new(file))
             }
         };
-        Ok(Options { functions: Functions { bench, ..Functions::default() }, ..Options::default() })
+        Ok(Options { functions: Functions { rig, ..Functions::default() }, ..Options::default() })
     }
 }
 

@@ -6,7 +6,7 @@ use super::failure::Failure;
 use super::session::with_bench;
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{Job, Pile, Procedure, ReposeMeasurement, ReposeRequest, Rig};
+use crate::app::{Job, Pile, PileDimensions, Procedure, ReposeMeasurement, ReposeRequest};
 use flip_core::domain::FieldError;
 
 /// Arguments of `flip measure`.
@@ -52,11 +52,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         return Err(FieldError::new("bench", advice).into());
     }
     let Arguments { powder, repeats, frames, open_s, rest_s, run, .. } = arguments;
-    let rig = Rig {
+    let rig = PileDimensions {
         tip_height_mm: arguments.tip_height_mm,
         base_diameter_mm: arguments.base_diameter_mm,
         base_height_mm: arguments.base_height_mm,
-        ..Rig::default()
+        ..PileDimensions::default()
     };
     let procedure =
         Procedure { repeats: *repeats, frames: *frames, open_s: *open_s, rest_s: *rest_s };

@@ -8,6 +8,7 @@ use flip_store::ledger::Lease;
 use flip_store::{self as store, Store, Tx, now};
 use serde::Serialize;
 use std::ops::{AsyncFnOnce, ControlFlow};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
@@ -47,6 +48,8 @@ impl From<store::Error> for JobError {
 pub(super) struct JobContext {
     pub store: Store,
     pub functions: Functions,
+    /// The bench is held: nothing on it starts.
+    pub held: Arc<AtomicBool>,
     lease: Lease,
     stop: Arc<StopFlag>,
     runtime: Handle,
@@ -59,6 +62,7 @@ impl JobContext {
     pub fn new(
         store: Store,
         functions: Functions,
+        held: Arc<AtomicBool>,
         lease: Lease,
         stop: Arc<StopFlag>,
         runtime: Handle,
@@ -66,6 +70,7 @@ impl JobContext {
         Self {
             store,
             functions,
+            held,
             lease,
             stop,
             runtime,
@@ -205,8 +210,8 @@ mod tests {
         let held = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
         sqlx::query("PRAGMA busy_timeout = 1").execute(store.writer().unwrap()).await.unwrap();
         let lease = Lease { job: "j".into(), fence: 1 };
-        let context =
-            JobContext::new(store, Functions::default(), lease, Arc::default(), Handle::current());
+        let (functions, free, stop) = (Functions::default(), Arc::default(), Arc::default());
+        let context = JobContext::new(store, functions, free, lease, stop, Handle::current());
         let told = move || {
             let progress = Progress { fraction: 0.0, message: "the powder runs out".into() };
             let now = context.report_meanwhile(&progress);

@@ -1,14 +1,12 @@
 //! The evaluation job: runs the weighing loop on powders that the policy has not met, and simple
 //! controllers for comparison.
 
-use super::bench::Pouring;
 use super::context::{JobContext, JobError};
 use super::spec::EvaluationSpec;
-use flip_bench::weigh::forecast::Forecast;
-use flip_bench::weigh::{Accuracy, Order};
+use flip_bench::rig::{Simulation, Task, simulate};
+use flip_bench::weigh::{Accuracy, Event, Order};
 use flip_core::domain::job::Progress;
 use flip_core::domain::parameters::ParameterSet;
-use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Outcome;
 use flip_learn::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
 use flip_policy::{
@@ -21,6 +19,7 @@ use flip_store::evaluations::{EvaluationRow, EvaluationSummary};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// The controllers that an evaluation can compare.
@@ -28,6 +27,25 @@ pub const CONTROLLERS: [&str; 8] =
     [POLICY, "untrained", "fixed", "schedule", "dispenser", "pid", "fuzzy", "paced"];
 /// The controller being evaluated.
 pub const POLICY: &str = "policy";
+
+/// One dose on the simulator: [`simulated`] in the product, a formula in tests. The error is why it
+/// has no result.
+pub type Weigh = Arc<dyn Fn(&Task, &Simulation) -> Result<Dose, String> + Send + Sync>;
+
+/// One dose on the simulator, to its end.
+///
+/// # Errors
+/// Why there is no stable reading.
+pub fn simulated(task: &Task, simulation: &Simulation) -> Result<Dose, String> {
+    let mut go_on = |_: &Event<'_>| ControlFlow::Continue(());
+    let poured = simulate(task, simulation, &mut go_on, &AtomicBool::new(false));
+    match (poured.dispensed_mg, poured.reading_mg) {
+        (Some(dispensed_mg), Some(reading_mg)) if poured.outcome != Outcome::NotStable => {
+            Ok(Dose { dispensed_mg, reading_mg, shakes: poured.shakes, seconds: poured.seconds })
+        }
+        _ => Err(poured.error.unwrap_or_default()),
+    }
+}
 
 /// Result of an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -57,43 +75,29 @@ pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(),
                 .extensions
                 .patched(&patch)
                 .map_err(|error| JobError::Fail(error.to_string()))?;
-            let pouring = Pouring {
-                forecast: Forecast::GENERIC,
+            let task = Task {
                 order: Order {
                     target_mg,
                     tolerance_lower_mg: 0.0,
                     tolerance_upper_mg: 0.0,
                     readability_mg: spec.readability_mg,
                 },
+                accuracy: Accuracy::default(),
                 controller: controller.clone(),
                 rules,
+            };
+            let simulation = Simulation {
+                set: patch.powder(set),
+                spoon: dispense::Settings { extensions, ..usual },
                 balance: balance::Settings {
                     readability_mg: spec.readability_mg,
                     ..balance::Settings::default()
                 },
-                spoon: dispense::Settings { extensions, ..usual },
-                set: patch.powder(set),
-                accuracy: Accuracy::default(),
-                shakes: None,
                 seed,
-                pan: PanCheck::NONE,
             };
-            let poured = (context.functions.pour)(
-                &pouring,
-                &mut |_| ControlFlow::Continue(()),
-                &AtomicBool::new(false),
-            );
-            let weighed = poured
-                .dispensed_mg
-                .zip(poured.reading_mg)
-                .filter(|_| poured.outcome != Outcome::NotStable);
-            let Some((dispensed_mg, reading_mg)) = weighed else {
-                let cause = poured.error.unwrap_or_default();
-                return Err(JobError::Fail(format!(
-                    "a weighing of {target_mg} mg was aborted: {cause}"
-                )));
-            };
-            Ok(Dose { dispensed_mg, reading_mg, shakes: poured.shakes, seconds: poured.seconds })
+            (context.functions.weigh)(&task, &simulation).map_err(|cause| {
+                JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {cause}"))
+            })
         })
     };
     let found = evaluate(&plan, weigh_once)?;

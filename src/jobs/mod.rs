@@ -41,6 +41,7 @@ pub use spec::{
 };
 
 use bench::Bench;
+use flip_bench::rig::{Rig, Simulated};
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::repose::{self as heap, Refusal, Repose};
@@ -50,6 +51,7 @@ use flip_store::pan::Refused;
 use flip_store::{self as store, Store, Tx, new_id, now};
 use lanes::Lanes;
 use std::collections::HashMap;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use stop::{Stop, StopFlag};
 use tokio::sync::Notify;
@@ -75,10 +77,10 @@ pub struct Functions {
     pub observe: Observe,
     /// A training.
     pub train: train::Train,
-    /// One weighing on the simulator, as used by evaluations.
-    pub pour: bench::Pour,
-    /// The apparatus driven by the bench's lane; none: the simulator of `pour`.
-    pub bench: Option<bench::Apparatus>,
+    /// One dose on the simulator, as evaluations weigh it.
+    pub weigh: evaluate::Weigh,
+    /// What the bench's lane moves.
+    pub rig: Arc<dyn Rig>,
 }
 
 impl Default for Functions {
@@ -87,8 +89,8 @@ impl Default for Functions {
             simulate: Arc::new(heap::repose),
             observe: Arc::new(flip_sim::observe::observe),
             train: train::simulated(),
-            pour: bench::simulated(),
-            bench: None,
+            weigh: Arc::new(evaluate::simulated),
+            rig: Arc::new(Simulated),
         }
     }
 }
@@ -123,6 +125,8 @@ struct Running {
 struct Shared {
     store: Store,
     functions: Functions,
+    /// The bench is held: nothing on it starts.
+    held: Arc<AtomicBool>,
     /// Jobs being computed, by id.
     running: Mutex<HashMap<String, Running>>,
     lanes: Lanes,
@@ -144,12 +148,12 @@ impl Jobs {
         functions: Functions,
         workers: Workers,
     ) -> store::Result<Self> {
-        let simulated = || bench::Apparatus::without_devices(functions.pour.clone());
-        let bench =
-            Bench::open(store.clone(), functions.bench.clone().unwrap_or_else(simulated)).await?;
+        let held = Arc::<AtomicBool>::default();
+        let bench = Bench::open(store.clone(), functions.rig.clone(), held.clone()).await?;
         let shared = Arc::new(Shared {
             store,
             functions,
+            held,
             running: Mutex::default(),
             lanes: Lanes::new(),
             wake: Notify::new(),

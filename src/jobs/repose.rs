@@ -4,11 +4,12 @@
 //! is made again and earlier piles are kept: the platform is turned over the funnel first, so
 //! powder that had already run out runs again.
 
-use super::bench::{PileStand, Piling, Unpiled, audit_exchanges};
+use super::bench::audit_exchanges;
 use super::context::{JobContext, JobError};
 use super::spec::ReposeSpec;
 use flip_bench::hardware::camera::Upload;
 use flip_bench::pile::{self, Repeats};
+use flip_bench::rig::{PileStand, Piling, Unpiled};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::job::Progress;
 use flip_core::domain::powder::Method;
@@ -20,7 +21,6 @@ use flip_store::piles::{FrameFiles, Pile};
 use flip_store::said::{Row, RowOf};
 use flip_store::{self as store, now};
 use serde::{Deserialize, Serialize};
-use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 
 /// Number of piles beyond those requested that may have no angle before the measurement gives up.
@@ -37,8 +37,8 @@ pub struct ReposeResult {
 }
 
 pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), JobError> {
-    let bench = context.functions.bench.as_ref().filter(|bench| bench.kind == spec.bench);
-    let Some(stand) = bench.and_then(|bench| bench.stand.as_ref()) else {
+    let rig = &context.functions.rig;
+    let Some(stand) = rig.stand().filter(|_| rig.kind() == spec.bench) else {
         let cause = "this process has another bench than the one it was asked for: start it with that bench, and ask again";
         return Err(JobError::Fail(cause.to_owned()));
     };
@@ -59,14 +59,13 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
             );
             return Err(JobError::Fail(cause));
         }
-        if bench.is_some_and(|bench| bench.held.load(Ordering::SeqCst)) {
+        if context.held.load(Ordering::SeqCst) {
             let cause = "the bench is held after a stop: resume it, and ask for a new measurement";
             return Err(JobError::Fail(cause.to_owned()));
         }
         let number = piles.len() as u32 + 1;
         let taken = made(context, spec, stand, number, measured.len() as u32);
-        let exchanges =
-            std::mem::take(&mut *stand.exchanges.lock().unwrap_or_else(PoisonError::into_inner));
+        let exchanges = stand.exchanges();
         let pile = match taken {
             Ok(taken) => Ok(looked_at(spec, number, &taken, context.store.artifacts())?),
             Err(error) => Err(error),
@@ -119,7 +118,7 @@ fn made(
         seed,
     };
     let mut unsaved = None;
-    let taken = (stand.heap)(&piling, &mut |what| {
+    let taken = stand.make(&piling, &context.held, &mut |what| {
         let fraction = f64::from(done) / f64::from(spec.procedure.repeats);
         let progress = Progress { fraction, message: format!("pile {number}: {what}") };
         // The owner of the gate must stay responsive to a stop, whatever holds the database.

@@ -7,7 +7,7 @@
 
 use super::conditions::Conditions;
 use flip_bench::hardware::stand::Procedure;
-use flip_bench::pile::{Limits, Rig};
+use flip_bench::pile::{Dimensions, Limits};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::conditions::{Patch, Under};
 use flip_core::domain::job::JobKind;
@@ -198,7 +198,7 @@ pub struct ReposeSpec {
     /// How piles are made and imaged.
     pub procedure: Procedure,
     /// What is known of the rig.
-    pub rig: Rig,
+    pub rig: Dimensions,
     /// Requirements on the frames.
     pub limits: Limits,
     /// The bench that makes the piles.

@@ -136,6 +136,7 @@ fn on_compute_thread(
     let context = JobContext::new(
         shared.store.clone(),
         shared.functions.clone(),
+        shared.held.clone(),
         lease.clone(),
         stop.clone(),
         runtime.clone(),

@@ -5,13 +5,15 @@ use crate::harness::Service;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD_NO_PAD;
 use flip::api::grpc::proto;
-use flip::app::{Role, file_bench};
+use flip::app::Role;
 use flip_bench::emulate::arm::{Flow, FormulaSpoon};
 use flip_bench::emulate::lab::{self, Laboratory};
 use flip_bench::hardware::clock::Clock;
+use flip_bench::rig::Devices;
 use flip_core::domain::weighing::WeighingState;
 use prost::Message;
 use serde_json::{Value, json};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
@@ -128,7 +130,7 @@ async fn a_resume_or_a_clear_whose_body_comes_after_a_stop_does_not_undo_it() {
 async fn a_vial_that_is_said_to_be_in_by_a_body_that_comes_after_a_stop_is_not_poured_into() {
     let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
     let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(20.0), spoon).unwrap();
-    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let service = Service::ready_on(Arc::new(Devices::new(laboratory.file()))).await;
     let token = service.token(Role::Operator).await;
     let tolerance = json!({ "lower": 10, "upper": 10, "unit": "%" });
     let body = json!({ "powder": "salt", "target": { "value": 15.0, "unit": "mg" }, "tolerance": tolerance });

@@ -3,10 +3,11 @@
 use crate::toy::{Bench, Hold};
 use flip::api::{self, ServeConfig};
 use flip::app::{App, Functions, Options, Role};
-use flip::jobs::bench::Apparatus;
+use flip_bench::rig::Rig;
 use reqwest::{Method, Response};
 use serde_json::Value;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
 use tokio::sync::oneshot;
@@ -37,9 +38,9 @@ impl Service {
     }
 
     /// Starts on this bench, with salt ready to weigh.
-    pub async fn ready_on(apparatus: Apparatus) -> Self {
+    pub async fn ready_on(rig: Arc<dyn Rig>) -> Self {
         let config = ServeConfig::loopback("127.0.0.1:0".parse().unwrap());
-        let service = Self::start_with(config, Some(apparatus)).await;
+        let service = Self::start_with(config, Some(rig)).await;
         crate::toy::calibrate_salt(service.data.path()).await;
         service
     }
@@ -48,13 +49,12 @@ impl Service {
         Self::start_with(config, None).await
     }
 
-    async fn start_with(config: ServeConfig, apparatus: Option<Apparatus>) -> Self {
+    async fn start_with(config: ServeConfig, rig: Option<Arc<dyn Rig>>) -> Self {
         let data = TempDir::new().unwrap();
         let bench = Bench::default();
-        let options = Options {
-            functions: Functions { bench: apparatus, ..bench.functions() },
-            ..Options::default()
-        };
+        let rig = rig.unwrap_or_else(|| Arc::new(bench.clone()));
+        let functions = Functions { rig, ..bench.functions() };
+        let options = Options { functions, ..Options::default() };
         let app = App::open(data.path(), options).await.unwrap();
         let server = api::bind(app.clone(), config).unwrap();
         let address = server.address().unwrap();

@@ -7,7 +7,7 @@ use base64::engine::general_purpose::STANDARD;
 use flip::api::grpc::proto;
 use flip::api::grpc::proto::bench_client::BenchClient;
 use flip::api::grpc::proto::repose_measurements_client::ReposeMeasurementsClient;
-use flip::app::{LaboratorySettings, Role, emulated_bench, file_bench};
+use flip::app::{LaboratorySettings, Role};
 use flip_bench::emulate::arm::{Flow, FormulaSpoon};
 use flip_bench::emulate::camera::{
     CameraFault, Noise, Optics, Pose, Scene, Studio, Surface, faulty_uploads, frames, upload,
@@ -15,10 +15,12 @@ use flip_bench::emulate::camera::{
 use flip_bench::emulate::lab::{self, Laboratory};
 use flip_bench::hardware::camera::Upload;
 use flip_bench::hardware::clock::Clock;
+use flip_bench::rig::{Devices, Emulated};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::PUBLISHED;
 use reqwest::Response;
 use serde_json::{Value, json};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tonic::Code;
 
@@ -74,7 +76,7 @@ fn photographed(deg: f64, seed: u64, count: usize) -> Vec<Upload> {
 /// Frames are rendered of cones as steep as the simulated heap, here the toy's formula.
 #[tokio::test]
 async fn an_emulated_laboratory_piles_and_photographs_by_itself() {
-    let service = Service::ready_on(emulated_bench(LaboratorySettings::default())).await;
+    let service = Service::ready_on(Arc::new(Emulated::new(LaboratorySettings::default()))).await;
     let asked = json!({ "powder": "salt", "run": 3, "procedure": { "repeats": 2, "open_s": 2.0, "rest_s": 1.0 } });
     let place = started(&service, &asked).await;
     let found = until(&service, &place, has_ended).await;
@@ -128,7 +130,7 @@ async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made
     let clock = Clock::fast(20.0);
     let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
     let laboratory = Laboratory::start(lab::Settings::default(), clock, spoon).unwrap();
-    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let service = Service::ready_on(Arc::new(Devices::new(laboratory.file()))).await;
     let asked =
         json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 1.0, "rest_s": 0.0 } });
     let place = started(&service, &asked).await;
@@ -189,7 +191,7 @@ async fn frames_are_uploaded_while_a_pile_waits_and_one_without_an_angle_is_made
 async fn over_grpc_a_measurement_is_the_same_and_takes_frames() {
     let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
     let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(20.0), spoon).unwrap();
-    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let service = Service::ready_on(Arc::new(Devices::new(laboratory.file()))).await;
     let mut client =
         ReposeMeasurementsClient::new(channel(&service).await).max_decoding_message_size(1 << 24);
     let asked = |procedure: &str| proto::StartReposeMeasurementRequest {
@@ -280,7 +282,7 @@ async fn a_bench_that_cannot_and_numbers_that_mean_nothing_are_refused() {
 async fn a_stop_at_the_bench_and_a_cancelled_measurement_find_the_gate_closed() {
     let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
     let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(20.0), spoon).unwrap();
-    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let service = Service::ready_on(Arc::new(Devices::new(laboratory.file()))).await;
     let asked = json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 300.0 } });
     for (end, state) in [("/v1/bench/stop", "failed"), ("cancel", "cancelled")] {
         let place = started(&service, &asked).await;
@@ -307,7 +309,7 @@ async fn a_stop_at_the_bench_and_a_cancelled_measurement_find_the_gate_closed() 
 async fn a_pile_that_is_being_made_is_told_as_what_moves_and_a_stop_of_the_bench_ends_it() {
     let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
     let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(20.0), spoon).unwrap();
-    let service = Service::ready_on(file_bench(laboratory.file())).await;
+    let service = Service::ready_on(Arc::new(Devices::new(laboratory.file()))).await;
     let mut bench = BenchClient::new(channel(&service).await);
     let metrics = async || service.get("/metrics").await.text().await.unwrap();
     let place = started(

@@ -1,16 +1,16 @@
 //! A bench and a heap that answer at once, by formula.
 
 use flip::app::Functions;
-use flip::jobs::bench::{Poured, Pouring};
+use flip_bench::hardware::DeviceError;
+use flip_bench::rig::{OnEvent, Poured, Pouring, Rig};
 use flip_bench::weigh::{Event, Phase};
-use flip_core::domain::bench::{Action, Reading, Tick};
+use flip_core::domain::bench::{Action, BenchKind, Reading, Tick};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::weighing::Outcome;
 use flip_policy::{self as policy, Controller, Kind, Manifest, Policy, Rules, ScheduledStep};
 use flip_sim::repose::{Refusal, Repose, Settings};
 use sha2::{Digest, Sha256};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -34,12 +34,7 @@ impl Drop for Hold {
 
 impl Bench {
     pub fn functions(&self) -> Functions {
-        let bench = self.clone();
-        Functions {
-            simulate: Arc::new(heap),
-            pour: Arc::new(move |pouring, on_event, stop| bench.pour(pouring, on_event, stop)),
-            ..Functions::default()
-        }
+        Functions { simulate: Arc::new(heap), rig: Arc::new(self.clone()), ..Functions::default() }
     }
 
     pub fn pours(&self) -> usize {
@@ -50,14 +45,27 @@ impl Bench {
         self.held.store(true, Ordering::SeqCst);
         Hold(self.held.clone())
     }
+}
+
+impl Rig for Bench {
+    fn kind(&self) -> BenchKind {
+        BenchKind::Simulated
+    }
+
+    fn exchanges_vials(&self) -> bool {
+        true
+    }
+
+    fn halt(&self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn readability_mg(&self) -> Option<f64> {
+        Some(1.0)
+    }
 
     /// Half of the target, then all of it, unless stopped.
-    fn pour(
-        &self,
-        pouring: &Pouring,
-        on_event: &mut dyn FnMut(&Event<'_>) -> ControlFlow<()>,
-        stop: &AtomicBool,
-    ) -> Poured {
+    fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
         self.pours.fetch_add(1, Ordering::SeqCst);
         while self.held.load(Ordering::SeqCst) && !stop.load(Ordering::SeqCst) {
             std::thread::sleep(Duration::from_millis(1));
@@ -68,7 +76,7 @@ impl Bench {
             if stop.load(Ordering::SeqCst) {
                 break;
             }
-            let mass_mg = pouring.order.target_mg * f64::from(step) / 2.0;
+            let mass_mg = pouring.task.order.target_mg * f64::from(step) / 2.0;
             let action = Action { incline_change_deg: 1.0, shake_mm: 4.0 };
             let (t_s, pitch_deg) = (f64::from(step) * 0.7, f64::from(step));
             let tick =

@@ -2,11 +2,13 @@
 //! before.
 
 use crate::bench::{another_program, clear, code, resume};
-use crate::harness::{OnEvent, calibrated, functions, mg, open, open_in, pour, until};
+use crate::harness::{calibrated, functions, mg, open, open_in, pour, until};
 use crate::vials::{asked, dead_client, laboratory, said, until_awaiting};
 use crate::weighing::{Gate, done};
-use flip::app::{App, Functions, ReservationRequest, back_up, emulated_bench, restore};
-use flip::jobs::bench::Apparatus;
+use flip::app::{App, Functions, ReservationRequest, back_up, restore};
+use flip_bench::hardware::DeviceError;
+use flip_bench::rig::{OnEvent, Poured, Pouring, Rig};
+use flip_core::domain::bench::BenchKind;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use futures::future::join_all;
 use futures::poll;
@@ -17,22 +19,51 @@ use std::sync::{Arc, OnceLock};
 /// Longer than a busy machine delays a thread.
 const PATIENT_MS: u32 = 20_000;
 
-/// A bench whose arm stays latched until it is recovered, which calls this.
-fn latched(recovering: impl Fn() + Send + Sync + 'static) -> (Functions, Arc<AtomicUsize>) {
-    let (is_latched, recovered) = (Arc::new(AtomicBool::new(true)), Arc::new(AtomicUsize::new(0)));
-    let mut bench: Apparatus = emulated_bench(Default::default());
-    let (asks, counts) = (is_latched.clone(), recovered.clone());
-    bench.arm_latch =
-        Arc::new(move || Ok(asks.load(Ordering::SeqCst).then(|| "its reflex".to_owned())));
-    bench.recover = Arc::new(move |_| {
-        counts.fetch_add(1, Ordering::SeqCst);
-        recovering();
-        is_latched.store(false, Ordering::SeqCst);
+/// A rig whose arm stays latched until it is recovered, which calls this.
+struct Latched<F> {
+    is_latched: AtomicBool,
+    recovered: Arc<AtomicUsize>,
+    recovering: F,
+}
+
+impl<F: Fn() + Send + Sync> Rig for Latched<F> {
+    fn kind(&self) -> BenchKind {
+        BenchKind::Emulated
+    }
+
+    fn exchanges_vials(&self) -> bool {
+        true
+    }
+
+    fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
+        pour(pouring, on_event, stop)
+    }
+
+    fn halt(&self) -> Result<(), DeviceError> {
         Ok(())
-    });
-    bench.pour =
-        Arc::new(|pouring, on_event: OnEvent<'_>, stop: &AtomicBool| pour(pouring, on_event, stop));
-    (Functions { bench: Some(bench), ..functions() }, recovered)
+    }
+
+    fn arm_latch(&self) -> Result<Option<String>, DeviceError> {
+        Ok(self.is_latched.load(Ordering::SeqCst).then(|| "its reflex".to_owned()))
+    }
+
+    fn recover(&self, _person: &str) -> Result<(), DeviceError> {
+        self.recovered.fetch_add(1, Ordering::SeqCst);
+        (self.recovering)();
+        self.is_latched.store(false, Ordering::SeqCst);
+        Ok(())
+    }
+
+    fn readability_mg(&self) -> Option<f64> {
+        Some(1.0)
+    }
+}
+
+fn latched(recovering: impl Fn() + Send + Sync + 'static) -> (Functions, Arc<AtomicUsize>) {
+    let recovered = Arc::<AtomicUsize>::default();
+    let is_latched = AtomicBool::new(true);
+    let rig = Arc::new(Latched { is_latched, recovered: recovered.clone(), recovering });
+    (Functions { rig, ..functions() }, recovered)
 }
 
 /// Why the bench is held, if it is.

@@ -1,10 +1,11 @@
 //! The end of a dose is kept until it is written down, whatever happens to the database.
 
 use crate::bench::{another_program, clear};
-use crate::harness::{OnEvent, calibrated, functions, mg, open_in, pour, until};
+use crate::harness::{ToyRig, calibrated, functions, mg, open_in, pour, until};
 use crate::weighing::done;
-use flip::app::{App, Functions, Weighing, emulated_bench};
-use flip::jobs::bench::{Apparatus, Poured, Pouring};
+use flip::app::{App, Functions, Weighing};
+use flip_bench::rig::{OnEvent, Pouring};
+use flip_core::domain::bench::BenchKind;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -14,16 +15,15 @@ use std::sync::{Arc, Mutex, mpsc};
 fn at_the_end(happens: impl Fn() + Send + Sync + 'static) -> (Functions, Arc<AtomicUsize>) {
     let pours = Arc::new(AtomicUsize::new(0));
     let counted = pours.clone();
-    let mut bench: Apparatus = emulated_bench(Default::default());
-    bench.pour =
-        Arc::new(move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| -> Poured {
-            let poured = pour(pouring, on_event, stop);
-            if counted.fetch_add(1, Ordering::SeqCst) == 0 {
-                happens();
-            }
-            poured
-        });
-    (Functions { bench: Some(bench), ..functions() }, pours)
+    let pour = move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
+        let poured = pour(pouring, on_event, stop);
+        if counted.fetch_add(1, Ordering::SeqCst) == 0 {
+            happens();
+        }
+        poured
+    };
+    let rig = ToyRig::of(BenchKind::Emulated, pour);
+    (Functions { rig, ..functions() }, pours)
 }
 
 async fn two(app: &App) -> (String, String) {

@@ -4,18 +4,19 @@ use flip::app::{
     App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target,
     Tolerance, Topic, TrainingRequest, WeighingRequest,
 };
-use flip::jobs::bench::{Poured, Pouring};
 use flip::jobs::train::Train;
+use flip_bench::hardware::DeviceError;
+use flip_bench::rig::{OnEvent, Poured, Pouring, Rig, Simulation, Task};
 use flip_bench::weigh::{Event, Phase};
-use flip_core::domain::bench::{Action, Reading, Tick};
+use flip_core::domain::bench::{Action, BenchKind, Reading, Tick};
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::weighing::Outcome;
+use flip_learn::train::evaluate::Dose;
 use flip_learn::train::formula::Formula;
 use flip_learn::train::train_on;
 use flip_sim::repose::{self, Refusal, Repose};
 use futures::StreamExt;
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -60,14 +61,56 @@ fn train() -> Train {
     })
 }
 
-/// Callback for the events of a pour.
-pub type OnEvent<'a> = &'a mut dyn FnMut(&Event<'_>) -> ControlFlow<()>;
+/// A rig whose doses are computed by a function.
+pub struct ToyRig<P> {
+    pub kind: BenchKind,
+    pub remembers: bool,
+    pub pour: P,
+}
 
-/// A pour of three ticks that overdoses by 0.25 mg; it stops when requested to.
+impl<P> ToyRig<P>
+where
+    P: Fn(&Pouring, OnEvent<'_>, &AtomicBool) -> Poured + Send + Sync + 'static,
+{
+    pub fn of(kind: BenchKind, pour: P) -> Arc<dyn Rig> {
+        Arc::new(Self { kind, remembers: false, pour })
+    }
+}
+
+impl<P> Rig for ToyRig<P>
+where
+    P: Fn(&Pouring, OnEvent<'_>, &AtomicBool) -> Poured + Send + Sync,
+{
+    fn kind(&self) -> BenchKind {
+        self.kind
+    }
+
+    fn exchanges_vials(&self) -> bool {
+        true
+    }
+
+    fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
+        (self.pour)(pouring, on_event, stop)
+    }
+
+    fn halt(&self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn readability_mg(&self) -> Option<f64> {
+        Some(1.0)
+    }
+
+    fn remembers(&self) -> bool {
+        self.remembers
+    }
+}
+
+/// A dose of three ticks that overdoses by 0.25 mg; it stops when requested to.
 pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
     let _recorded = on_event(&Event::Phase(Phase::Dosing));
     let mut ticks = Vec::new();
-    let end_mg = pouring.order.target_mg + 0.25;
+    let end_mg = pouring.task.order.target_mg + 0.25;
     for step in 0..3u32 {
         if stop.load(Ordering::SeqCst) {
             break;
@@ -99,14 +142,20 @@ pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Pour
     }
 }
 
+/// The same dose, as evaluations weigh it.
+pub fn weigh(task: &Task, _: &Simulation) -> Result<Dose, String> {
+    let mg = task.order.target_mg + 0.25;
+    Ok(Dose { dispensed_mg: mg, reading_mg: mg, shakes: 2, seconds: 2.0 })
+}
+
 /// The formulas.
 pub fn functions() -> Functions {
     Functions {
         simulate: Arc::new(heap),
         observe: Arc::new(observe),
         train: train(),
-        pour: Arc::new(pour),
-        bench: None,
+        weigh: Arc::new(weigh),
+        rig: ToyRig::of(BenchKind::Simulated, pour),
     }
 }
 

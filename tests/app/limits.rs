@@ -1,19 +1,21 @@
 //! Limits of an arm and a spoon, against the demands of a policy and a request.
 
 use crate::harness::{calibrated, functions, mg, open, training_of};
-use flip::app::{Error, EvaluationRequest, Functions, TrainingRequest, file_bench};
+use flip::app::{Error, EvaluationRequest, Functions, TrainingRequest};
 use flip_bench::emulate::arm::{self, Asked, Flow, FormulaSpoon, Spoon};
 use flip_bench::emulate::lab::{Laboratory, Settings};
 use flip_bench::hardware::bench_file::BenchFile;
 use flip_bench::hardware::clock::Clock;
 use flip_bench::hardware::station::Station;
 use flip_bench::hardware::wire::Tap;
+use flip_bench::rig::Devices;
 use flip_bench::weigh::{Order, Settings as Weighing, Weighed, weigh};
 use flip_core::domain::bench::{PitchLimits, Tick};
 use flip_core::domain::spoon::{FilledBy, Spoon as Measured};
 use flip_core::domain::weighing::Outcome;
 use flip_policy::{Controller, Rules, Schedule, ScheduledStep};
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 /// A policy that tips the spoon up to 45 deg and shakes it hard.
@@ -74,7 +76,7 @@ fn an_arm_that_cannot_scoop_weighs_what_somebody_filled() {
 fn absent(spoon: &str) -> Functions {
     let devices = "[balance]\ndialect = \"sbi\"\nport = \"/dev/no-such-port\"\n[arm]\nurl = \"http://127.0.0.1:9\"\n";
     Functions {
-        bench: Some(file_bench(BenchFile::parse(&format!("{devices}{spoon}")).unwrap())),
+        rig: Arc::new(Devices::new(BenchFile::parse(&format!("{devices}{spoon}")).unwrap())),
         ..functions()
     }
 }

@@ -2,13 +2,14 @@
 //! evaluate and weigh.
 
 use crate::harness::{
-    OnEvent, calibration_of, ended, functions, heap, mg, open, pour, training_of,
+    ToyRig, calibration_of, ended, functions, heap, mg, open, pour, training_of, weigh,
 };
 use flip::app::{
     App, CalibrationRequest, Error, EvaluationRequest, Functions, InvestigationRequest, Job,
     JobState, Report, TrainingRequest, WeighingRequest,
 };
-use flip::jobs::bench::Pouring;
+use flip_bench::rig::{OnEvent, Pouring, Simulation, Task};
+use flip_core::domain::bench::BenchKind;
 use flip_core::domain::conditions::{Condition, Conditions};
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::repose::{Repose, Settings};
@@ -25,23 +26,28 @@ const STEEPENS_DEG: f64 = 28.0;
 #[derive(Default)]
 struct Seen {
     heaps: AtomicU32,
-    /// Humidity of each pour's spoon.
+    /// Humidity of each dose's spoon.
     pours: Mutex<Vec<f64>>,
 }
 
 /// The harness's formulas, with heaps and spoons that respond to water.
 fn wet(seen: &Arc<Seen>) -> Functions {
-    let (of_heaps, of_pours) = (seen.clone(), seen.clone());
+    let (of_heaps, of_pours, of_doses) = (seen.clone(), seen.clone(), seen.clone());
     let simulate = move |set: &ParameterSet, settings: &Settings, seed: u64| {
         of_heaps.heaps.fetch_add(1, Ordering::SeqCst);
         let dry = heap(set, settings, seed)?;
         Ok(Repose { tip_deg: dry.tip_deg + STEEPENS_DEG * settings.extensions.humidity, ..dry })
     };
     let pour = move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
-        of_pours.pours.lock().unwrap().push(pouring.spoon.extensions.humidity);
+        of_pours.pours.lock().unwrap().push(pouring.simulation.spoon.extensions.humidity);
         pour(pouring, on_event, stop)
     };
-    Functions { simulate: Arc::new(simulate), pour: Arc::new(pour), ..functions() }
+    let weigh = move |task: &Task, simulation: &Simulation| {
+        of_doses.pours.lock().unwrap().push(simulation.spoon.extensions.humidity);
+        weigh(task, simulation)
+    };
+    let rig = ToyRig::of(BenchKind::Simulated, pour);
+    Functions { simulate: Arc::new(simulate), weigh: Arc::new(weigh), rig, ..functions() }
 }
 
 fn campaign(budget_runs: u32) -> InvestigationRequest {

@@ -1,19 +1,19 @@
 //! Trainings and evaluations: from calibrated sets to a policy and its errors.
 
 use crate::harness::{
-    OnEvent, calibrated, ended, functions, mg, open, open_in, pour, trained, training_of, until,
+    calibrated, ended, functions, mg, open, open_in, trained, training_of, until, weigh,
 };
 use flip::app::{
     App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX,
 };
 use flip::app::{Preset, Topic, TrainingRequest};
-use flip::jobs::bench::{Poured, Pouring};
+use flip_bench::rig::{Simulation, Task};
 use flip_core::domain::bench_check::{ExecutedShake, ShakeCalibration};
 use flip_core::domain::motion::{MotionLimits, Move};
+use flip_learn::train::evaluate::Dose;
 use flip_policy::{self as policy, Controller};
 use futures::StreamExt;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 async fn all_episodes(app: &App, id: &str) -> Vec<Episode> {
@@ -146,12 +146,12 @@ fn walk(folder: std::path::PathBuf) -> Vec<std::path::PathBuf> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
-    let worse = Arc::new(|pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
-        let poured = pour(pouring, on_event, stop);
-        let more_mg = if matches!(pouring.controller, Controller::Paced(_)) { 0.25 } else { 0.0 };
-        Poured { dispensed_mg: poured.dispensed_mg.map(|mg| mg + more_mg), ..poured }
+    let worse = Arc::new(|task: &Task, simulation: &Simulation| {
+        let dose = weigh(task, simulation)?;
+        let more_mg = if matches!(task.controller, Controller::Paced(_)) { 0.25 } else { 0.0 };
+        Ok(Dose { dispensed_mg: dose.dispensed_mg + more_mg, ..dose })
     });
-    let (_folder, app) = open(Functions { pour: worse, ..functions() }).await;
+    let (_folder, app) = open(Functions { weigh: worse, ..functions() }).await;
     let policy = trained(&app, "sand").await;
     calibrated(&app, "salt").await;
     let weighing = app.start_weighing(mg("sand", 15.0), "before-the-evaluation").await.unwrap().0;

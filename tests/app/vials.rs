@@ -5,13 +5,14 @@ use crate::bench::{clear, code, resume};
 use crate::harness::{calibrated, functions, mg, open, open_in, until};
 use crate::weighing::done;
 use flip::app::{App, BenchStatus, Error, Functions, VialCheck, VialReadyRequest, Weighing};
-use flip::jobs::bench::devices_by;
 use flip_bench::emulate::arm::{self, Flow, FormulaSpoon};
 use flip_bench::emulate::lab::{self, Laboratory};
 use flip_bench::hardware::arm::{Arm, Deadlines};
 use flip_bench::hardware::clock::Clock;
 use flip_bench::hardware::wire::Tap;
+use flip_bench::rig::Devices;
 use flip_core::domain::weighing::{Outcome, WeighingState};
+use std::sync::Arc;
 
 fn spoon(seed: u64) -> Box<FormulaSpoon> {
     Box::new(FormulaSpoon::new(Flow::default(), seed))
@@ -25,8 +26,8 @@ pub fn laboratory(dead_man_ms: u32) -> (Laboratory, Functions) {
         ..lab::Settings::default()
     };
     let laboratory = Laboratory::start(settings, clock.clone(), spoon(1)).unwrap();
-    let bench = Some(devices_by(laboratory.file(), clock));
-    (laboratory, Functions { bench, ..functions() })
+    let rig = Arc::new(Devices::with_clock(laboratory.file(), clock));
+    (laboratory, Functions { rig, ..functions() })
 }
 
 /// Longer than a busy machine delays a thread.

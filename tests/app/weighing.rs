@@ -1,11 +1,13 @@
 //! Weighings: committed before they move, never poured twice, stopped, interrupted.
 
-use crate::harness::{OnEvent, calibrated, functions, mg, open, open_in, pour, trained, until};
+use crate::harness::{ToyRig, calibrated, functions, mg, open, open_in, pour, trained, until};
 use flip::app::{
-    App, Error, Functions, LaboratorySettings, PageQuery, Target, Tolerance, Topic, Weighing,
-    WeighingRequest, emulated_bench,
+    App, Error, Functions, PageQuery, Target, Tolerance, Topic, Weighing, WeighingRequest,
 };
+use flip_bench::hardware::DeviceError;
+use flip_bench::rig::{OnEvent, Poured, Pouring, Rig};
 use flip_bench::weigh::forecast::{Fall, Forecast};
+use flip_core::domain::bench::BenchKind;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use futures::StreamExt;
 use futures::future::join_all;
@@ -31,25 +33,41 @@ pub struct Gate {
 
 impl Gate {
     pub fn functions(self: &Arc<Self>) -> Functions {
-        let gate = self.clone();
-        Functions {
-            pour: Arc::new(move |pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
-                gate.pours.fetch_add(1, Ordering::SeqCst);
-                let mut open = gate.open.lock().unwrap();
-                while !*open && !stop.load(Ordering::SeqCst) {
-                    let wait = std::time::Duration::from_millis(5);
-                    open = gate.opened.wait_timeout(open, wait).unwrap().0;
-                }
-                drop(open);
-                pour(pouring, on_event, stop)
-            }),
-            ..functions()
-        }
+        Functions { rig: self.clone(), ..functions() }
     }
 
     pub fn open(&self) {
         *self.open.lock().unwrap() = true;
         self.opened.notify_all();
+    }
+}
+
+impl Rig for Gate {
+    fn kind(&self) -> BenchKind {
+        BenchKind::Simulated
+    }
+
+    fn exchanges_vials(&self) -> bool {
+        true
+    }
+
+    fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
+        self.pours.fetch_add(1, Ordering::SeqCst);
+        let mut open = self.open.lock().unwrap();
+        while !*open && !stop.load(Ordering::SeqCst) {
+            let wait = std::time::Duration::from_millis(5);
+            open = self.opened.wait_timeout(open, wait).unwrap().0;
+        }
+        drop(open);
+        pour(pouring, on_event, stop)
+    }
+
+    fn halt(&self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn readability_mg(&self) -> Option<f64> {
+        Some(1.0)
     }
 }
 
@@ -200,14 +218,12 @@ async fn shutting_down_stops_what_moves_and_keeps_what_waits() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pour_that_panics_is_recorded_and_the_next_one_goes_on() {
-    let frail = Functions {
-        pour: Arc::new(|pouring, on_event, stop| {
-            assert!(pouring.order.target_mg > 6.0, "the bench is broken");
-            pour(pouring, on_event, stop)
-        }),
-        ..functions()
+    let frail = |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
+        assert!(pouring.task.order.target_mg > 6.0, "the bench is broken");
+        pour(pouring, on_event, stop)
     };
-    let (_folder, app) = open(frail).await;
+    let rig = ToyRig::of(BenchKind::Simulated, frail);
+    let (_folder, app) = open(Functions { rig, ..functions() }).await;
     trained(&app, "sand").await;
     let broken = app.start_weighing(mg("sand", 5.0), "broken").await.unwrap().0.id;
     let whole = app.start_weighing(mg("sand", 7.0), "whole").await.unwrap().0.id;
@@ -223,19 +239,18 @@ async fn a_pour_that_panics_is_recorded_and_the_next_one_goes_on() {
 async fn forecasts(remembers: bool) -> Vec<Forecast> {
     let seen = Arc::new(Mutex::new(Vec::new()));
     let told = seen.clone();
-    let mut bench =
-        emulated_bench(LaboratorySettings { remembers, ..LaboratorySettings::default() });
-    bench.pour = Arc::new(move |pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
+    let pour = move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
         told.lock().unwrap().push(pouring.forecast);
         let mut poured = pour(pouring, on_event, stop);
         poured.ticks[1..].iter_mut().for_each(|tick| tick.action.shake_mm = 4.0);
         // The third one did not run its course: its results must not be used.
-        if pouring.order.target_mg == 9.0 {
+        if pouring.task.order.target_mg == 9.0 {
             poured.outcome = Outcome::Blocked;
         }
         poured
-    });
-    let (_folder, app) = open(Functions { bench: Some(bench), ..functions() }).await;
+    };
+    let rig = Arc::new(ToyRig { kind: BenchKind::Emulated, remembers, pour });
+    let (_folder, app) = open(Functions { rig, ..functions() }).await;
     calibrated(&app, "sand").await;
     calibrated(&app, "sugar").await;
     for (key, (powder, target_mg)) in

@@ -4,4 +4,5 @@
 pub mod emulate;
 pub mod hardware;
 pub mod pile;
+pub mod rig;
 pub mod weigh;

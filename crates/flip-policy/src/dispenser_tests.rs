@@ -138,6 +138,12 @@ fn aims_shrink_with_the_steps_left_and_meet_a_brute_force_search() {
         (1..9).all(|left| aims.of(left, 10.0) >= aims.of(left + 1, 10.0) - 1e-9),
         "more steps, smaller bites"
     );
+    // Thirty steps are the most that shipped rules have: each of them changes an aim, and none
+    // beyond.
+    let row = |left: u32| (1..CELLS).map(|cell| aims.of(left, cell as f64 * GRID_MG)).collect();
+    let rows: Vec<Vec<f64>> = (1..=40).map(row).collect();
+    let changes: Vec<usize> = (1..40).filter(|k| rows[*k] != rows[k - 1]).collect();
+    assert_eq!(changes, (1..30).collect::<Vec<_>>());
     // The last step by brute force: the mean with the least expected loss over many draws.
     let loss = |mean: f64| {
         let draw = |k: usize| FITTED.draw(mean, quantile((k as f64 + 0.5) / 4000.0));

@@ -199,6 +199,8 @@ mod tests {
         assert_eq!(next(16.0, 17.0, 17.0, 50.0), 16.0);
         // 3 mg in 29 steps: 0.1 mg each.
         assert_eq!(next(2.0, 16.8, 17.0, 50.0), 2.0, "enough fell");
+        assert_eq!(next(2.0, 16.7, 17.0, 50.0), 2.0, "2.9 times as much is enough");
+        assert_eq!(next(2.0, 16.68, 17.0, 50.0), usual, "3.1 times as much is more");
         assert_eq!(next(2.0, 16.0, 17.0, 50.0), usual, "more fell");
         // 0.2 mg is missing: 1 mm, plus 5 mm per mg.
         assert!((next(8.0, 19.8, 19.8, 50.0) - 2.0).abs() < 1e-9);

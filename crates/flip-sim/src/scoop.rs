@@ -311,6 +311,7 @@ impl<'a> Bed<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::law::SUBSTEP_S;
     use super::*;
     use flip_core::domain::bench::Action;
 
@@ -329,6 +330,31 @@ mod tests {
     /// Free-flowing: such a small spoon would push a steep powder along.
     fn set() -> ParameterSet {
         ParameterSet::default().with("friction", 0.2).unwrap()
+    }
+
+    #[test]
+    fn a_grain_lies_as_still_in_a_spoon_that_moves_steadily_as_in_one_at_rest() {
+        let law = Law::new(&set(), 0.4, SUBSTEP_S);
+        let strays = |speed: f32| {
+            let mut trough = Trough {
+                bowl: Bowl::new([16.0, 16.0, 4.0]),
+                at: [0.0, 0.0, 20.0],
+                velocity: [speed, 0.0, 0.0],
+                half: [100.0; 2],
+            };
+            let mut grains = Grains::default();
+            grains.pour(&law, vector(0.0, 0.0, 16.5), vector(speed, 0.0, 0.0));
+            for _ in 0..3000 {
+                trough.at[0] += speed;
+                let gravity = vector(0.0, 0.0, -law.gravity);
+                grains.substep(&law, gravity, &Shape::Trough(trough));
+            }
+            (grains.centres()[0][0] - trough.at[0]).abs()
+        };
+        // 30 diameters of way; an anchor left behind would drag the grain to where the bowl's slope
+        // is its friction.
+        assert_eq!(strays(0.0), 0.0);
+        assert!(strays(0.01) < 0.05, "{} diameters", strays(0.01));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Measurements of powders other than the angle of repose.
 
-use super::page::{LONG_BATCH, Page, Window};
+use super::page::{Page, Window};
 use super::row::{Columns, json};
 use super::{Result, Store, Tx, new_id, now};
 use flip_core::domain::observable::{Observable, Observation};
@@ -67,14 +67,7 @@ impl Store {
         after: i64,
     ) -> Result<(Vec<PowderObservation>, i64)> {
         let sql = "SELECT * FROM observation WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
-        let rows = sqlx::query(sql)
-            .bind(powder)
-            .bind(after)
-            .bind(LONG_BATCH)
-            .fetch_all(&self.long)
-            .await?;
-        let last = rows.last().map_or(Ok(after), |row| row.plain("seq"))?;
-        Ok((rows.iter().map(observation).collect::<Result<_>>()?, last))
+        self.batch(sql, powder, after, observation).await
     }
 
     /// Current observations of a powder: the latest of each equal observable, sorted by their JSON,

@@ -1,7 +1,7 @@
 //! Keyset paging: a list continues after the last row of the previous page.
 
-use super::Result;
 use super::row::Columns;
+use super::{Result, Store};
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use flip_core::domain::FieldError;
@@ -117,6 +117,27 @@ fn decode(cursor: &str) -> std::result::Result<i64, FieldError> {
             "is not a cursor of this list: pass `next` of the page before as it is, or leave it out",
         )
     })
+}
+
+impl Store {
+    /// Rows after a position, oldest first, at most [`LONG_BATCH`], and the position of the last
+    /// one. The statement's arguments: a powder or null for any, the position, the limit.
+    pub(super) async fn batch<T>(
+        &self,
+        sql: &'static str,
+        powder: Option<&str>,
+        after: i64,
+        read: impl Fn(&SqliteRow) -> Result<T>,
+    ) -> Result<(Vec<T>, i64)> {
+        let rows = sqlx::query(sql)
+            .bind(powder)
+            .bind(after)
+            .bind(LONG_BATCH)
+            .fetch_all(&self.long)
+            .await?;
+        let last = rows.last().map_or(Ok(after), |row| row.plain("seq"))?;
+        Ok((rows.iter().map(read).collect::<Result<_>>()?, last))
+    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Powders and their measurements.
 
-use super::page::{LONG_BATCH, Page, Window};
+use super::page::{Page, Window};
 use super::row::{Columns, word};
 use super::{Result, Store, Tx, new_id, now};
 use flip_core::domain::powder::{Flowability, Method, PUBLISHED, PUBLISHED_SOURCE};
@@ -106,14 +106,7 @@ impl Store {
         after: i64,
     ) -> Result<(Vec<Measurement>, i64)> {
         let sql = "SELECT * FROM measurement WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
-        let rows = sqlx::query(sql)
-            .bind(powder)
-            .bind(after)
-            .bind(LONG_BATCH)
-            .fetch_all(&self.long)
-            .await?;
-        let last = rows.last().map_or(Ok(after), |row| row.plain("seq"))?;
-        Ok((rows.iter().map(measurement).collect::<Result<_>>()?, last))
+        self.batch(sql, powder, after, measurement).await
     }
 
     /// Register the published powders, once: any that a user later removes or renames are left

@@ -7,13 +7,15 @@
 
 use flip::app::{
     App, CalibrationRequest, Functions, JobState, LaboratorySettings, Options, Target, Tolerance,
-    Weighing, WeighingRequest, emulated_bench,
+    Weighing, WeighingRequest,
 };
 use flip_bench::hardware::bench_file::Readings;
+use flip_bench::rig::Emulated;
 use flip_core::domain::powder::PUBLISHED;
 use flip_core::domain::weighing::Outcome;
 use flip_core::stats::summary::{mean, sd};
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 const TARGETS_MG: [f64; 2] = [15.0, 20.0];
@@ -42,7 +44,7 @@ async fn main() -> anyhow::Result<()> {
         let laboratory =
             LaboratorySettings { readings, remembers, ..LaboratorySettings::default() };
         let functions =
-            Functions { bench: Some(emulated_bench(laboratory)), ..Functions::default() };
+            Functions { rig: Arc::new(Emulated::new(laboratory)), ..Functions::default() };
         let app = App::open(&folder, Options { functions, ..Options::default() }).await?;
         calibrate(&app, seed).await?;
         println!(

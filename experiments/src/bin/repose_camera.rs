@@ -4,7 +4,7 @@
 //! `cargo experiment repose_camera [piles of each angle] [seed]`
 
 use flip_bench::emulate::camera::{Studio, frames};
-use flip_bench::pile::{Lengths, Limits, Measurement, Refusal, Rig, measure};
+use flip_bench::pile::{Dimensions, Lengths, Limits, Measurement, Refusal, measure};
 use std::time::Instant;
 
 /// Angles of the piles, degrees.
@@ -34,9 +34,9 @@ const ESTIMATORS: [Estimator; 3] = [
 ];
 
 /// The rig as recorded by an operator with this ruler.
-fn written(studio: &Studio, lengths: Lengths) -> Rig {
-    let rig = Rig::default();
-    Rig {
+fn written(studio: &Studio, lengths: Lengths) -> Dimensions {
+    let rig = Dimensions::default();
+    Dimensions {
         tip_height_mm: rig.tip_height_mm + studio.ruler_mm[0],
         base_diameter_mm: rig.base_diameter_mm + studio.ruler_mm[1],
         base_height_mm: rig.base_height_mm + studio.ruler_mm[2],

@@ -14,11 +14,9 @@
 //! and `seconds` a training stops in time and the program exits with status 3; called again it
 //! continues from that file. Progress goes to stderr.
 
-use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
-use flip_bench::weigh::forecast::Forecast;
+use flip_bench::rig::{Poured, Simulation, Task, simulate};
 use flip_bench::weigh::{Accuracy, Order};
 use flip_core::domain::parameters::ParameterSet;
-use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Outcome;
 use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
 use flip_learn::train::{Event, Level, Preset, Settings, Start, TrainError, train};
@@ -132,8 +130,9 @@ fn learn(
 }
 
 /// One dose by the loop used in real weighings.
-fn weigh(pour: &Pour, pouring: &Pouring, trace: bool) -> anyhow::Result<Dose> {
-    let poured = pour(pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));
+fn weigh(task: &Task, simulation: &Simulation, trace: bool) -> anyhow::Result<Dose> {
+    let mut go_on = |_: &flip_bench::weigh::Event<'_>| ControlFlow::Continue(());
+    let poured = simulate(task, simulation, &mut go_on, &AtomicBool::new(false));
     let dispensed_mg = match (poured.dispensed_mg, poured.outcome) {
         (Some(mg), outcome) if outcome != Outcome::Aborted => mg,
         _ => anyhow::bail!("a weighing was aborted: {}", poured.error.unwrap_or_default()),
@@ -148,7 +147,7 @@ fn weigh(pour: &Pour, pouring: &Pouring, trace: bool) -> anyhow::Result<Dose> {
                 tick.pitch_deg, tick.reading.mass_mg
             )?;
         }
-        eprintln!("target {} mg, dispensed {:.2} mg:{told}", pouring.order.target_mg, dispensed_mg);
+        eprintln!("target {} mg, dispensed {:.2} mg:{told}", task.order.target_mg, dispensed_mg);
     }
     let Poured { reading_mg, shakes, seconds, .. } = poured;
     let reading_mg = reading_mg.ok_or_else(|| anyhow::anyhow!("a dose without a reading"))?;
@@ -234,7 +233,6 @@ fn main() -> anyhow::Result<()> {
         seed: overrides.get("evaluation_seed").and_then(Value::as_u64).unwrap_or(777),
     };
     let trace = flag("trace");
-    let pour = simulated();
     let once = |controller: &Controller, _: &Subject, set: &ParameterSet, target_mg, seed| {
         let order = Order {
             target_mg,
@@ -242,25 +240,11 @@ fn main() -> anyhow::Result<()> {
             tolerance_upper_mg: 0.0,
             readability_mg: settings.balance.readability_mg,
         };
-        let (controller, balance) = (controller.clone(), settings.balance);
-        let (spoon, accuracy, shakes, forecast) =
-            (settings.spoon, Accuracy::default(), None, Forecast::GENERIC);
-        let pan = PanCheck::NONE;
+        let (accuracy, controller) = (Accuracy::default(), controller.clone());
+        let (set, spoon, balance) = (*set, settings.spoon, settings.balance);
         weigh(
-            &pour,
-            &Pouring {
-                order,
-                accuracy,
-                controller,
-                rules,
-                balance,
-                spoon,
-                set: *set,
-                shakes,
-                forecast,
-                seed,
-                pan,
-            },
+            &Task { order, accuracy, controller, rules },
+            &Simulation { set, spoon, balance, seed },
             trace,
         )
     };

@@ -1,8 +1,8 @@
 //! How a dose ended, kept in memory until it is recorded: nothing else starts before that.
 
-use super::apparatus::{Poured, Pouring};
 use super::condition::{Condition, Unwritten};
 use super::lane::{Heard, LaneThread};
+use flip_bench::rig::{Poured, Pouring};
 use flip_core::domain::bench::Tick;
 use flip_core::domain::vial::{Dosed, Pan, Vial, VialFlaw};
 use flip_core::domain::weighing::{MeasuredMass, Outcome, WeighingState};
@@ -103,14 +103,13 @@ impl LaneThread {
             Outcome::Stopped | Outcome::Aborted => WeighingState::Aborted,
             Outcome::Unknown => WeighingState::Unknown,
         };
-        let touched = touched(&poured, &heard, pouring.order.readability_mg);
+        let touched = touched(&poured, &heard, pouring.task.order.readability_mg);
+        let task = &pouring.task;
+        let minimum_mg = task.accuracy.repeatability_mg.map(|_| task.minimum_mg());
         let measured = poured.measured.map(|measured| MeasuredMass {
-            minimum_mg: pouring.accuracy.repeatability_mg.map(|_| pouring.minimum_mg()),
-            below_minimum_weight: pouring
-                .accuracy
-                .repeatability_mg
-                .map(|_| measured.net_mg < pouring.minimum_mg()),
-            devices: (self.apparatus.devices)(),
+            minimum_mg,
+            below_minimum_weight: minimum_mg.map(|minimum_mg| measured.net_mg < minimum_mg),
+            devices: self.rig.devices(),
             ..measured
         });
         // The verdict is that of the reading, and so is the error. A dose that was not weighed has
@@ -145,7 +144,7 @@ impl LaneThread {
             trace: None,
             error,
         };
-        let must_look = poured.must_look.filter(|_| self.apparatus.kind.has_devices());
+        let must_look = poured.must_look.filter(|_| self.rig.kind().has_devices());
         Ended { ending, ticks: Some(poured.ticks), must_look, touched }
     }
 
@@ -198,7 +197,7 @@ impl LaneThread {
             at: now(),
             reason: reason.clone(),
             weighing: Some(weighing.id.clone()),
-            bench: Some(self.apparatus.kind),
+            bench: Some(self.rig.kind()),
         });
         latch.iter().cloned().for_each(|latch| self.condition.latch(latch));
         // A clearance comes before or after this, never between the update in memory and the store.
@@ -225,8 +224,8 @@ impl LaneThread {
     /// Without a record nobody knows later what is on the bench: a person must check it, even if
     /// the database comes back.
     fn latch_if_gone(&self, weighing: &Weighing, error: &store::Error) {
-        if matches!(error, store::Error::Gone(_)) && self.apparatus.kind.has_devices() {
-            let (weighing, bench) = (Some(weighing.id.clone()), Some(self.apparatus.kind));
+        if matches!(error, store::Error::Gone(_)) && self.rig.kind().has_devices() {
+            let (weighing, bench) = (Some(weighing.id.clone()), Some(self.rig.kind()));
             self.condition.latch(Latch { at: now(), reason: error.remedy(), weighing, bench });
         }
     }
@@ -258,11 +257,11 @@ impl LaneThread {
         // Before the trace: writing its file would recreate a folder that the database has lost.
         self.store.is_in_place()?;
         let ending = self.with_trace(ended);
-        self.journal.hear(&weighing.id, (self.apparatus.exchanges)(), None);
+        self.journal.hear(&weighing.id, self.rig.exchanges(), None);
         self.journal.write_down(&self.store, &self.condition).await?;
         let mut tx = self.store.write().await?;
         tx.end_weighing(&weighing.id, &ending, now()).await?;
-        if !self.apparatus.kind.exchanges_vials() {
+        if !self.rig.exchanges_vials() {
             tx.set_pan(pan).await?;
         }
         if let Some(latch) = latch {

@@ -1,12 +1,13 @@
 //! The thread that commands the arm to stop: a stop request does not wait for the arm's reply.
 
+use flip_bench::rig::Rig;
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 /// Notifies the arm. Dropping it ends its thread.
 pub(super) struct Halter {
-    halt: Arc<dyn Fn() + Send + Sync>,
+    rig: Arc<dyn Rig>,
     say: Sender<()>,
 }
 
@@ -15,20 +16,20 @@ impl Halter {
     ///
     /// # Errors
     /// The system cannot spawn a thread.
-    pub fn start(halt: Arc<dyn Fn() + Send + Sync>) -> io::Result<Self> {
+    pub fn start(rig: Arc<dyn Rig>) -> io::Result<Self> {
         let (say, hear) = channel();
-        let telling = halt.clone();
+        let telling = rig.clone();
         std::thread::Builder::new().name("stop".into()).spawn(move || tell(&hear, &*telling))?;
-        Ok(Self { halt, say })
+        Ok(Self { rig, say })
     }
 
     /// Commands the arm to stop now, without waiting.
     pub fn tell(&self) {
         if self.say.send(()).is_err() {
             // The thread panicked during an earlier stop. This stop gets its own.
-            let halt = self.halt.clone();
+            let rig = self.rig.clone();
             if let Err(error) =
-                std::thread::Builder::new().name("stop".into()).spawn(move || halt())
+                std::thread::Builder::new().name("stop".into()).spawn(move || halt(&*rig))
             {
                 tracing::error!(%error, "the arm could not be told of a stop: it hears of it before its next motion");
             }
@@ -36,10 +37,16 @@ impl Halter {
     }
 }
 
-fn tell(hear: &Receiver<()>, halt: &(dyn Fn() + Send + Sync)) {
+fn tell(hear: &Receiver<()>, rig: &dyn Rig) {
     while hear.recv().is_ok() {
         // One message serves all requests queued until it is sent.
         while hear.try_recv().is_ok() {}
-        halt();
+        halt(rig);
+    }
+}
+
+fn halt(rig: &dyn Rig) {
+    if let Err(error) = rig.halt() {
+        tracing::error!(%error, "the arm could not be told to stop: its dead-man acts");
     }
 }

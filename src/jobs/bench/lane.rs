@@ -1,12 +1,12 @@
 //! The thread that owns the bench, and the record it keeps: nothing moves unless the intended
 //! motion is committed.
 
-use super::apparatus::{Apparatus, Pouring};
 use super::condition::Condition;
 use super::ending::{Ended, record_interrupted};
 use super::journal::Journal;
 use super::sign::StopSign;
 use crate::jobs::worker::panic_message;
+use flip_bench::rig::{Pouring, Rig};
 use flip_bench::weigh::Event;
 use flip_core::domain::seed::derive;
 use flip_core::domain::vial::{Pan, VialFlaw};
@@ -30,7 +30,7 @@ const RETRY: u64 = 7;
 /// The thread that owns the bench.
 pub(super) struct LaneThread {
     pub store: Store,
-    pub apparatus: Apparatus,
+    pub rig: Arc<dyn Rig>,
     pub condition: Condition,
     pub closing: Arc<AtomicBool>,
     pub runtime: Handle,
@@ -97,7 +97,7 @@ impl LaneThread {
 
     /// Whether a person must confirm that the vial of this weighing is in.
     pub(super) fn is_confirmed(&self, weighing: &Weighing) -> bool {
-        weighing.vial_check.is_confirm() && !self.apparatus.kind.exchanges_vials()
+        weighing.vial_check.is_confirm() && !self.rig.exchanges_vials()
     }
 
     /// Arms, pours, records. Nothing moves unless `armed` is committed. `false`: the bench is not
@@ -128,13 +128,12 @@ impl LaneThread {
     fn arm(&self, weighing: &Weighing) -> store::Result<Option<Pan>> {
         self.runtime.block_on(async {
             let mut tx = self.store.write().await?;
-            let Some(armed) = tx.arm_weighing(&weighing.id, self.apparatus.kind, now()).await?
-            else {
+            let Some(armed) = tx.arm_weighing(&weighing.id, self.rig.kind(), now()).await? else {
                 return Ok(None);
             };
             let pan = self.condition.pan();
             let begun = pan.begun(&weighing.id, self.condition.vial_of(weighing).as_deref(), now());
-            if !self.apparatus.kind.exchanges_vials() {
+            if !self.rig.exchanges_vials() {
                 tx.set_pan(&begun).await?;
             }
             tx.commit().await?;
@@ -163,7 +162,7 @@ impl LaneThread {
         stop: &StopSign,
     ) -> Ended {
         let retries = match weighing.asked.on_overdose {
-            OnOverdose::DiscardAndRetry { max } if self.apparatus.kind.exchanges_vials() => max,
+            OnOverdose::DiscardAndRetry { max } if self.rig.exchanges_vials() => max,
             _ => 0,
         };
         let mut discarded_mg = Vec::new();
@@ -174,7 +173,8 @@ impl LaneThread {
                 && ended.may_go_on();
             if again && !stop.is_pressed() && self.record_discarded(weighing, &ended).is_ok() {
                 discarded_mg.extend(ended.reading_mg());
-                pouring.seed = derive(weighing.seed, &[RETRY, discarded_mg.len() as u64]);
+                pouring.simulation.seed =
+                    derive(weighing.seed, &[RETRY, discarded_mg.len() as u64]);
                 continue;
             }
             ended.discarded(discarded_mg);
@@ -199,9 +199,8 @@ impl LaneThread {
         }
         let mut heard = Heard::default();
         let mut on_event = |event: &Event<'_>| self.hear(&mut heard, &weighing.id, event, stop);
-        let poured = catch_unwind(AssertUnwindSafe(|| {
-            (self.apparatus.pour)(pouring, &mut on_event, stop.flag())
-        }));
+        let poured =
+            catch_unwind(AssertUnwindSafe(|| self.rig.pour(pouring, &mut on_event, stop.flag())));
         match poured {
             Ok(poured) => {
                 let refused = heard.flaw.map(|flaw| self.refused(weighing, pan, flaw));
@@ -209,7 +208,7 @@ impl LaneThread {
             }
             Err(panic) => {
                 let cause = format!("the weighing panicked: {}", panic_message(&*panic));
-                Ended::panicked(cause, self.apparatus.kind.has_devices())
+                Ended::panicked(cause, self.rig.kind().has_devices())
             }
         }
     }
@@ -228,7 +227,7 @@ impl LaneThread {
         if let Event::Pan(flaw) = event {
             heard.flaw = Some(**flaw);
         }
-        self.journal.hear(id, (self.apparatus.exchanges)(), Some(event));
+        self.journal.hear(id, self.rig.exchanges(), Some(event));
         let (journal, store, condition) =
             (self.journal.clone(), self.store.clone(), self.condition.clone());
         let writing = self

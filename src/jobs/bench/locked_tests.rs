@@ -1,10 +1,15 @@
 //! A stop while another program holds the database: the spoon returns although nothing can be
 //! recorded.
 
-use super::{Apparatus, Bench, Change, devices_by};
+use super::{Bench, Change};
 use flip_bench::emulate::arm::{self, Flow, FormulaSpoon};
 use flip_bench::emulate::lab::{self, Laboratory};
+use flip_bench::hardware::DeviceError;
 use flip_bench::hardware::clock::Clock;
+use flip_bench::hardware::wire::Exchange;
+use flip_bench::rig::{Devices, OnEvent, Poured, Pouring, Rig};
+use flip_bench::weigh::Event;
+use flip_core::domain::bench::BenchKind;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Outcome, WeighRequest};
@@ -15,7 +20,8 @@ use sqlx::SqlitePool;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{Sqlite, Transaction};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 use tokio::runtime::Handle;
@@ -112,34 +118,49 @@ async fn ask(store: &Store, bench: &Bench, set: &ParameterSet, id: &str) {
     bench.planned().await;
 }
 
-/// Runs a dose that is stopped as the trial specifies; returns whether the spoon was level when
+/// Devices whose doses are stopped as the trial specifies. Reports whether the spoon was level when
 /// stop was pressed, and the outcome once it had returned.
-fn stopped(
-    laboratory: &Arc<Laboratory>,
-    clock: Clock,
-    trial: &Arc<Trial>,
-    store: &Store,
+struct Stopped {
+    devices: Devices,
+    laboratory: Arc<Laboratory>,
+    trial: Arc<Trial>,
+    store: Store,
     other: SqlitePool,
-) -> (Apparatus, Receiver<(bool, Outcome)>) {
-    let (say, hear) = channel();
-    let mut apparatus = devices_by(laboratory.file(), clock);
-    let (pour, say, runtime) = (apparatus.pour.clone(), Mutex::new(say), Handle::current());
-    let (laboratory, trial, store) = (laboratory.clone(), trial.clone(), store.clone());
-    apparatus.pour = Arc::new(move |pouring, on_event, stop| {
+    runtime: Handle,
+    say: Mutex<Sender<(bool, Outcome)>>,
+}
+
+impl Rig for Stopped {
+    fn kind(&self) -> BenchKind {
+        self.devices.kind()
+    }
+
+    fn exchanges_vials(&self) -> bool {
+        self.devices.exchanges_vials()
+    }
+
+    fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
         let (mut events, mut was_level) = (0, true);
-        let mut listening = |event: &flip_bench::weigh::Event<'_>| {
+        let mut listening = |event: &Event<'_>| {
             events += 1;
-            if events == *trial.at.lock().unwrap() {
-                was_level = laboratory.arm.is_level();
-                trial.begin(&store, &other, &runtime);
+            if events == *self.trial.at.lock().unwrap() {
+                was_level = self.laboratory.arm.is_level();
+                self.trial.begin(&self.store, &self.other, &self.runtime);
             }
             on_event(event)
         };
-        let poured = pour(pouring, &mut listening, stop);
-        say.lock().unwrap().send((was_level, poured.outcome)).unwrap();
+        let poured = self.devices.pour(pouring, &mut listening, stop);
+        self.say.lock().unwrap().send((was_level, poured.outcome)).unwrap();
         poured
-    });
-    (apparatus, hear)
+    }
+
+    fn halt(&self) -> Result<(), DeviceError> {
+        self.devices.halt()
+    }
+
+    fn exchanges(&self) -> Vec<Exchange> {
+        self.devices.exchanges()
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -156,8 +177,18 @@ async fn a_stop_at_any_moment_of_a_dose_brings_the_spoon_back_although_another_p
     let spoon = || Box::new(FormulaSpoon::new(Flow::default(), 1));
     let laboratory = Arc::new(Laboratory::start(settings, clock.clone(), spoon()).unwrap());
     let trial = Arc::new(Trial::default());
-    let (apparatus, hear) = stopped(&laboratory, clock, &trial, &store, other.await.unwrap());
-    let bench = Arc::new(Bench::open(store.clone(), apparatus).await.unwrap());
+    let (say, hear) = channel();
+    let rig = Stopped {
+        devices: Devices::with_clock(laboratory.file(), clock),
+        laboratory: laboratory.clone(),
+        trial: trial.clone(),
+        store: store.clone(),
+        other: other.await.unwrap(),
+        runtime: Handle::current(),
+        say: Mutex::new(say),
+    };
+    let bench = Bench::open(store.clone(), Arc::new(rig), Arc::default()).await.unwrap();
+    let bench = Arc::new(bench);
     assert!(trial.bench.set(bench.clone()).is_ok());
     bench.start().await.unwrap();
     let (hear, mut tilted) = (Arc::new(Mutex::new(hear)), 0);

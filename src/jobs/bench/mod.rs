@@ -19,10 +19,9 @@
 //! needs, `ending.rs` describes how it ended and records that whatever the database does;
 //! `condition.rs` is the state of the bench in memory; `sign.rs` is the stop of one dose,
 //! `halter.rs` notifies the arm of it, and `records.rs` writes stops down afterwards; `turns.rs`
-//! handles people's requests other than doses; `apparatus.rs` is what moves: the simulator, an
-//! emulated laboratory, or devices; `stand.rs` is where piles are made between weighings.
+//! handles people's requests other than doses. What moves is a [`Rig`]: the simulator, an emulated
+//! laboratory, or devices.
 
-mod apparatus;
 mod condition;
 mod ending;
 mod halter;
@@ -31,23 +30,20 @@ mod lane;
 mod prepare;
 mod records;
 mod sign;
-mod stand;
 mod turns;
 
-pub use apparatus::{Apparatus, Pour, Poured, Pouring, devices, devices_by, emulated, simulated};
 pub use condition::{Standing, Unwritten};
 pub(super) use journal::audit_exchanges;
-pub use stand::{Awaited, Inbox, Making, PileInMaking, PileStand, Piling, Unpiled};
 pub use turns::Change;
 
 use super::spoon::holds_mg;
 use condition::{Condition, Halted};
 use ending::record_interrupted;
+use flip_bench::rig::{PileStand, Rig};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::bench_check::Repeatability;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::weighing::{Outcome, WeighingState};
-use flip_sim::balance;
 use flip_store::weighings::{Ending, Weighing};
 use flip_store::{self as store, Store, now};
 use halter::Halter;
@@ -66,7 +62,7 @@ pub const WAITING_MAX: i64 = 64;
 /// Handle to the lane: wakes it, stops it, reports its state, shuts it down.
 pub struct Bench {
     store: Store,
-    apparatus: Apparatus,
+    rig: Arc<dyn Rig>,
     condition: Condition,
     records: Arc<Records>,
     halter: Halter,
@@ -83,29 +79,33 @@ struct Lane {
 
 impl Bench {
     /// Records what the last process left moving, and loads the state of the bench.
-    pub(super) async fn open(store: Store, apparatus: Apparatus) -> store::Result<Self> {
-        let (condition, records) =
-            (Condition::of(apparatus.held.clone()), Arc::<Records>::default());
+    /// `held` is set while the bench is held, before anything else hears of it.
+    pub(super) async fn open(
+        store: Store,
+        rig: Arc<dyn Rig>,
+        held: Arc<AtomicBool>,
+    ) -> store::Result<Self> {
+        let (condition, records) = (Condition::of(held), Arc::<Records>::default());
         // Even if this process does not weigh: the lock on the data folder proves that no other one
         // does.
         record_interrupted(&store, &condition).await?;
         condition.load(&store).await?;
         records.keep_writing(&store);
-        let halter = Halter::start(apparatus.halt.clone())
+        let halter = Halter::start(rig.clone())
             .map_err(|source| store::Error::File { path: "the thread for stops".into(), source })?;
         let (reserving, closing, lane) = Default::default();
-        Ok(Self { store, apparatus, condition, records, halter, reserving, closing, lane })
+        Ok(Self { store, rig, condition, records, halter, reserving, closing, lane })
     }
 
     /// Capacity of this bench's spoon, whichever of these sets is the powder, mg; `None` without
     /// sets.
     pub fn spoon_holds_mg<'a>(&self, sets: impl Iterator<Item = &'a ParameterSet>) -> Option<f64> {
-        holds_mg(&self.apparatus.spoon, sets)
+        holds_mg(&self.rig.spoon(), sets)
     }
 
     /// Whether it is FLIP's own spoon, or the capacity of another one was not given.
     pub fn spoon_is_usual(&self) -> bool {
-        self.apparatus.spoon.is_usual()
+        self.rig.spoon().is_usual()
     }
 
     /// Starts the lane.
@@ -114,7 +114,7 @@ impl Bench {
         let (wake, woken) = sync_channel(1);
         let lane = LaneThread {
             store: self.store.clone(),
-            apparatus: self.apparatus.clone(),
+            rig: self.rig.clone(),
             condition: self.condition.clone(),
             closing: self.closing.clone(),
             runtime: Handle::current(),
@@ -139,7 +139,7 @@ impl Bench {
 
     /// The current state of the bench; no database is queried.
     pub fn standing(&self) -> Standing {
-        self.condition.standing(self.kind().exchanges_vials())
+        self.condition.standing(self.exchanges_vials())
     }
 
     /// The end of a dose that could not be recorded yet: nothing starts before it is.
@@ -149,24 +149,27 @@ impl Bench {
 
     /// The kind of bench.
     pub fn kind(&self) -> BenchKind {
-        self.apparatus.kind
+        self.rig.kind()
+    }
+
+    /// Whether it puts an empty vial in place for each dose without a person.
+    pub fn exchanges_vials(&self) -> bool {
+        self.rig.exchanges_vials()
     }
 
     /// Readability (display step) of the balance, mg, where known in advance.
     pub fn readability_mg(&self) -> Option<f64> {
-        let is_simulated = self.apparatus.kind == BenchKind::Simulated;
-        (self.apparatus.readability_mg)()
-            .or(is_simulated.then(|| balance::Settings::default().readability_mg))
+        self.rig.readability_mg()
     }
 
     /// The stand where piles are made, if any.
     pub fn stand(&self) -> Option<&PileStand> {
-        self.apparatus.stand.as_ref()
+        self.rig.stand()
     }
 
     /// Its devices by role, as they identified themselves when last open.
     pub fn devices(&self) -> BTreeMap<String, String> {
-        (self.apparatus.devices)()
+        self.rig.devices()
     }
 
     /// Stops anything that moves, and starts nothing until a person resumes. The flag and the hold

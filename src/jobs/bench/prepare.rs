@@ -1,8 +1,8 @@
 //! Gathers from the store what one weighing needs: policy, powder, checks of the bench, earlier
 //! doses.
 
-use super::apparatus::Pouring;
 use super::lane::LaneThread;
+use flip_bench::rig::{Pouring, Simulation, Task};
 use flip_bench::weigh::forecast::{Fall, Forecast};
 use flip_bench::weigh::{Accuracy, Order};
 use flip_core::domain::bench::Tick;
@@ -44,9 +44,8 @@ impl LaneThread {
                 extensions.map_err(|error| store::Error::Corrupt(error.to_string()))?;
             let policy = policy::decode(&policy)
                 .map_err(|error| store::Error::Corrupt(error.to_string()))?;
-            let readability_mg =
-                (self.apparatus.readability_mg)().unwrap_or(balance.readability_mg);
-            let earlier = if self.apparatus.remembers {
+            let readability_mg = self.rig.readability_mg().unwrap_or(balance.readability_mg);
+            let earlier = if self.rig.remembers() {
                 self.earlier(&weighing.powder).await?
             } else {
                 Vec::new()
@@ -54,25 +53,30 @@ impl LaneThread {
             if !earlier.is_empty() {
                 self.record_earlier(&weighing.id, earlier.len()).await?;
             }
+            let class_pct = weighing.asked.accuracy_pct;
             Ok(Pouring {
-                forecast: Forecast::GENERIC.informed(&earlier, readability_mg),
-                order: Order {
-                    target_mg: weighing.target_mg,
-                    tolerance_lower_mg: weighing.tolerance_lower_mg,
-                    tolerance_upper_mg: weighing.tolerance_upper_mg,
-                    readability_mg,
+                task: Task {
+                    order: Order {
+                        target_mg: weighing.target_mg,
+                        tolerance_lower_mg: weighing.tolerance_lower_mg,
+                        tolerance_upper_mg: weighing.tolerance_upper_mg,
+                        readability_mg,
+                    },
+                    accuracy: Accuracy {
+                        repeatability_mg: repeatability.map(|(_, check)| check.sd_mg),
+                        class_pct: class_pct.unwrap_or(Accuracy::default().class_pct),
+                    },
+                    controller: policy.controller,
+                    rules: policy.manifest.rules,
                 },
-                accuracy: Accuracy {
-                    repeatability_mg: repeatability.map(|(_, check)| check.sd_mg),
-                    class_pct: weighing.asked.accuracy_pct.unwrap_or(Accuracy::default().class_pct),
+                simulation: Simulation {
+                    set: weighing.patch.powder(&set.parameters),
+                    spoon: dispense::Settings { extensions, ..spoon },
+                    balance,
+                    seed: weighing.seed,
                 },
-                controller: policy.controller,
-                rules: policy.manifest.rules,
-                balance,
-                spoon: dispense::Settings { extensions, ..spoon },
-                set: weighing.patch.powder(&set.parameters),
                 shakes: shakes.map(|(_, line)| line),
-                seed: weighing.seed,
+                forecast: Forecast::GENERIC.informed(&earlier, readability_mg),
                 pan: self.pan_check(weighing, pan, readability_mg),
             })
         })
@@ -81,7 +85,7 @@ impl LaneThread {
     /// Falls of powder in earlier doses of this powder on such a bench, of those that ran their
     /// course.
     async fn earlier(&self, powder: &str) -> store::Result<Vec<Vec<Fall>>> {
-        let traces = self.store.traces_of(powder, self.apparatus.kind, REMEMBERED).await?;
+        let traces = self.store.traces_of(powder, self.rig.kind(), REMEMBERED).await?;
         let falls = |trace: &String| {
             let bytes = self.store.artifacts().get(trace).map_err(|error| error.to_string())?;
             let ticks: Vec<Tick> =
@@ -108,7 +112,7 @@ impl LaneThread {
     /// What the display must show, where a person has confirmed that the vial is in.
     fn pan_check(&self, weighing: &Weighing, pan: &Pan, readability_mg: f64) -> PanCheck {
         match self.is_confirmed(weighing) {
-            true => pan.check(readability_mg, self.apparatus.empty_vial),
+            true => pan.check(readability_mg, self.rig.empty_vial()),
             false => PanCheck::NONE,
         }
     }

@@ -90,7 +90,7 @@ impl Bench {
             return Ok(Change::Void);
         }
         tx.clear_latch(by, note, now()).await?;
-        if !self.kind().exchanges_vials() {
+        if !self.exchanges_vials() {
             tx.set_pan(&pan).await?;
         }
         let waits = !resume && tx.planned_weighings().await? > 0;
@@ -182,8 +182,8 @@ impl Bench {
     /// # Errors
     /// The arm cannot be reached.
     pub async fn arm_latch(&self) -> Result<Option<String>, DeviceError> {
-        let arm_latch = self.apparatus.arm_latch.clone();
-        let asked = tokio::task::spawn_blocking(move || arm_latch()).await;
+        let rig = self.rig.clone();
+        let asked = tokio::task::spawn_blocking(move || rig.arm_latch()).await;
         asked.unwrap_or_else(|error| {
             Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() })
         })
@@ -196,8 +196,8 @@ impl Bench {
     /// The arm cannot be reached, the cause of the latch persists, or the arm was stopped on its
     /// way.
     pub async fn recover(&self, person: &str) -> Result<(), DeviceError> {
-        let (recover, person) = (self.apparatus.recover.clone(), person.to_owned());
-        let recovered = tokio::task::spawn_blocking(move || recover(&person)).await;
+        let (rig, person) = (self.rig.clone(), person.to_owned());
+        let recovered = tokio::task::spawn_blocking(move || rig.recover(&person)).await;
         recovered.unwrap_or_else(|error| {
             Err(DeviceError::Faulted { device: "the arm", cause: error.to_string() })
         })

@@ -8,6 +8,7 @@ mod frame;
 
 pub use frame::{Request, Unreadable, parse};
 
+use super::fault::named;
 use super::motion::{Motion, wait_out};
 use super::port::Talker;
 use crate::hardware::clock::Clock;
@@ -91,10 +92,7 @@ impl FromStr for Fault {
     type Err = FieldError;
 
     fn from_str(name: &str) -> Result<Self, FieldError> {
-        Self::ALL.into_iter().find(|fault| fault.name() == name).ok_or_else(|| {
-            let names = Self::ALL.map(Self::name).join(", ");
-            FieldError::new("fault", format!("must be one of {names}, got {name}"))
-        })
+        named(Self::ALL, Self::name, name)
     }
 }
 

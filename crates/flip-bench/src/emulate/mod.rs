@@ -8,6 +8,7 @@
 pub mod arm;
 pub mod balance;
 pub mod camera;
+mod fault;
 pub mod gate;
 pub mod gripper;
 pub mod lab;

@@ -1,5 +1,6 @@
 //! Connection of an emulated device: a pseudo-terminal or a TCP port, served by its own thread.
 
+use crate::hardware::line::is_silence;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -145,14 +146,7 @@ fn listen(device: &mut impl Talker, stream: &mut (impl Read + Write)) -> std::io
     match stream.read(&mut buffer) {
         Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
         Ok(count) => converse(device, stream, Some(&buffer[..count])),
-        Err(error)
-            if matches!(
-                error.kind(),
-                ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
-            ) =>
-        {
-            converse(device, stream, None)
-        }
+        Err(error) if is_silence(&error) => converse(device, stream, None),
         Err(error) => Err(error),
     }
 }

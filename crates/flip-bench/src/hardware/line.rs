@@ -173,14 +173,7 @@ impl Line {
                 self.partial.extend_from_slice(&buffer[..count]);
                 Ok(count)
             }
-            Err(error)
-                if matches!(
-                    error.kind(),
-                    ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
-                ) =>
-            {
-                Ok(0)
-            }
+            Err(error) if is_silence(&error) => Ok(0),
             Err(error) => Err(DeviceError::Lost { device: self.device, cause: error.to_string() }),
         }
     }
@@ -190,6 +183,12 @@ impl Drop for Line {
     fn drop(&mut self) {
         self.forget();
     }
+}
+
+/// Whether a read ended only because nothing came in time.
+pub(crate) fn is_silence(error: &std::io::Error) -> bool {
+    use ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), TimedOut | WouldBlock | Interrupted)
 }
 
 fn connect(address: &str) -> std::io::Result<TcpStream> {

@@ -191,6 +191,20 @@ mod tests {
     }
 
     #[test]
+    fn a_slow_cell_that_still_creeps_is_not_final_and_its_end_is_foreseen() {
+        // Six readings of 20 mg at a time constant of a second span less than two steps from 1.6 s
+        // on; a step is left to come at 3 s, and that decides.
+        let settling = Settling { tau_s: 1.0, ..Settling::new(ONE_MG) };
+        let shown: Vec<Shown> = (0..50)
+            .map(|k| f64::from(k) * FRAME_S)
+            .map(|t_s| Shown { t_s, mass_mg: 20.0 * (1.0 - libm::exp(-t_s)), flag: false })
+            .collect();
+        let found = (1..=shown.len()).find_map(|n| settled(&settling, &shown[..n])).unwrap();
+        assert!((20f64.ln()..20f64.ln() + FRAME_S).contains(&found.t_s), "{found:?}");
+        assert!((found.end_mg - 20.0).abs() < 1e-9 && found.mass_mg > 19.0, "{found:?}");
+    }
+
+    #[test]
     fn an_impact_is_waited_for() {
         // 80 mg of impact that decays in 0.1 s, on top of a dose of 20 mg.
         let found = watch(|t_s| step(20.0)(t_s) + 80.0 * libm::exp(-t_s / 0.1)).unwrap();

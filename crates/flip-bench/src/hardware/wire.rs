@@ -1,7 +1,7 @@
 //! Traffic on a bench's wires, for the record.
 
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Direction of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
@@ -63,6 +63,27 @@ impl Tap {
 impl std::fmt::Debug for Tap {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Tap")
+    }
+}
+
+/// Keeps messages until they are taken. Clones share them.
+#[derive(Clone, Default)]
+pub struct Recorder(Arc<Mutex<Vec<Exchange>>>);
+
+impl Recorder {
+    /// A tap into this recorder.
+    pub fn tap(&self) -> Tap {
+        let kept = self.clone();
+        Tap::new(move |exchange| kept.locked().push(exchange))
+    }
+
+    /// Takes what has passed since the last call.
+    pub fn take(&self) -> Vec<Exchange> {
+        std::mem::take(&mut *self.locked())
+    }
+
+    fn locked(&self) -> MutexGuard<'_, Vec<Exchange>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

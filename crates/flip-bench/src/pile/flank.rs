@@ -2,7 +2,7 @@
 //! to many pixels.
 
 use super::fit::{Fitted, Known, Point, fit};
-use super::{Refusal, Rig};
+use super::{Dimensions, Refusal};
 use nalgebra::SVector;
 use std::f64::consts::TAU;
 
@@ -57,7 +57,7 @@ fn away(at: [f64; 3], centre: [f64; 2]) -> f64 {
 
 /// Height of the pile, mm, before any fit: the level that nine tenths of the points near the axis
 /// do not exceed.
-pub(super) fn height(points: &[Point], axis: [f64; 2], rig: &Rig) -> Result<f64, Refusal> {
+pub(super) fn height(points: &[Point], axis: [f64; 2], rig: &Dimensions) -> Result<f64, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let mut near: Vec<f64> =
         points.iter().filter(|p| away(p.at, axis) < NEAR * radius).map(|p| p.at[2]).collect();
@@ -78,7 +78,7 @@ pub(super) fn apex(
     axis: [f64; 2],
     height_mm: f64,
     slope: f64,
-    rig: &Rig,
+    rig: &Dimensions,
 ) -> Result<Apex, Refusal> {
     let q = ROUNDING[0] * (rig.base_diameter_mm / 2.0).powi(2);
     let start = [height_mm + slope * q.sqrt(), slope, axis[0], axis[1], q];
@@ -101,7 +101,7 @@ pub(super) fn top(
     axis: [f64; 2],
     start: [f64; 5],
     slope: f64,
-    rig: &Rig,
+    rig: &Dimensions,
 ) -> Result<Apex, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let inside =
@@ -180,7 +180,7 @@ pub(super) fn flank(
     points: &[Point],
     axis: [f64; 2],
     height_mm: f64,
-    rig: &Rig,
+    rig: &Dimensions,
 ) -> Result<(Vec<Point>, Flank), Refusal> {
     let range = 0.2 * height_mm..=0.8 * height_mm;
     let inside = |p: &Point| away(p.at, axis) < 0.5 * rig.base_diameter_mm;
@@ -198,7 +198,7 @@ pub(super) fn cone(
     flank: &[Point],
     axis: [f64; 2],
     height_mm: f64,
-    rig: &Rig,
+    rig: &Dimensions,
 ) -> Result<Flank, Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let none = |rms_mm| Refusal::NoCone { pixels: flank.len(), rms_mm };
@@ -270,7 +270,7 @@ pub(super) fn covers(
     points: &[Point],
     cone: &Flank,
     axis: [f64; 2],
-    rig: &Rig,
+    rig: &Dimensions,
 ) -> Result<(), Refusal> {
     let radius = rig.base_diameter_mm / 2.0;
     let mut sectors = [(0, 0.0); SECTORS];
@@ -312,7 +312,7 @@ mod tests {
 
     #[test]
     fn an_exact_surface_gives_its_own_apex_and_slope() {
-        let rig = Rig::default();
+        let rig = Dimensions::default();
         let points = near_side(21.0, 0.75, [0.6, -0.4], 2.0);
         let apex = apex(&points, [0.0; 2], 20.0, 0.73, &rig).unwrap();
         for (found, true_value) in apex.at().into_iter().zip([0.6, -0.4, 21.0]) {
@@ -329,14 +329,14 @@ mod tests {
     fn wild_points_do_not_move_the_cone() {
         let mut points = near_side(21.0, 0.7, [0.0; 2], 0.0);
         points.iter_mut().step_by(7).for_each(|p| p.at[2] += 4.0);
-        let (_, cone) = flank(&points, [0.0; 2], 21.0, &Rig::default()).unwrap();
+        let (_, cone) = flank(&points, [0.0; 2], 21.0, &Dimensions::default()).unwrap();
         assert!((cone.parameters[1] - 0.7).abs() < 3e-3, "{}", cone.parameters[1]);
     }
 
     #[test]
     fn nothing_and_little_on_the_base_are_refused() {
         let flat = near_side(0.5, 0.0, [0.0; 2], 0.1);
-        let height = |points: &[Point]| height(points, [0.0; 2], &Rig::default());
+        let height = |points: &[Point]| height(points, [0.0; 2], &Dimensions::default());
         assert!(matches!(height(&flat), Err(Refusal::PileNotFound { .. })));
         assert_eq!(height(&[]), Err(Refusal::ApexNotFound { pixels: 0, wanted: 12 }));
     }

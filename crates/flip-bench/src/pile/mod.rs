@@ -33,7 +33,7 @@ pub use comparison::{Compared, Stored, compare, published};
 pub use flip_core::domain::pile::{Angle, Measurement};
 pub use refusal::Refusal;
 pub use repeats::{Repeats, repeats};
-pub use settings::{Lengths, Limits, Rig};
+pub use settings::{Dimensions, Lengths, Limits};
 
 use crate::hardware::camera::Frame;
 use bench::View;
@@ -73,7 +73,11 @@ const GAP_U: f64 = 0.25;
 ///
 /// # Errors
 /// [`Refusal`], with what was seen instead.
-pub fn measure(frames: &[Frame], rig: &Rig, limits: &Limits) -> Result<Measurement, Refusal> {
+pub fn measure(
+    frames: &[Frame],
+    rig: &Dimensions,
+    limits: &Limits,
+) -> Result<Measurement, Refusal> {
     let rig = &rig.checked().map_err(Refusal::Settings)?;
     let limits = &limits.checked().map_err(Refusal::Settings)?;
     let shot = &Shot::of(frames, limits)?;
@@ -107,7 +111,7 @@ struct Pile<'a> {
     shot: &'a Shot<'a>,
     view: View,
     tip: Tip,
-    rig: &'a Rig,
+    rig: &'a Dimensions,
 }
 
 impl Pile<'_> {
@@ -273,7 +277,7 @@ impl Pile<'_> {
     }
 }
 
-impl Rig {
+impl Dimensions {
     fn angle_deg(&self, height_mm: f64) -> f64 {
         (2.0 * height_mm / self.base_diameter_mm).atan().to_degrees()
     }

@@ -19,7 +19,8 @@ pub enum Lengths {
 /// The rig, measured with a ruler or calipers.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Rig {
+#[schema(as = Rig)]
+pub struct Dimensions {
     /// D: height of the funnel's tip over the top of the base, 10 to 500 mm. Default 60.
     pub tip_height_mm: f64,
     /// Its standard uncertainty, 0 to 5 mm. Default 0.1.
@@ -42,7 +43,7 @@ pub struct Rig {
     pub lengths: Lengths,
 }
 
-impl Default for Rig {
+impl Default for Dimensions {
     fn default() -> Self {
         Self {
             tip_height_mm: 60.0,
@@ -58,7 +59,7 @@ impl Default for Rig {
     }
 }
 
-impl Rig {
+impl Dimensions {
     /// Returns the settings if they are valid.
     ///
     /// # Errors
@@ -158,9 +159,9 @@ mod tests {
 
     #[test]
     fn impossible_settings_are_refused_by_field() {
-        assert!(Rig::default().checked().is_ok() && Limits::default().checked().is_ok());
-        let rig = |change: fn(&mut Rig)| {
-            let mut rig = Rig::default();
+        assert!(Dimensions::default().checked().is_ok() && Limits::default().checked().is_ok());
+        let rig = |change: fn(&mut Dimensions)| {
+            let mut rig = Dimensions::default();
             change(&mut rig);
             rig.checked().unwrap_err().field
         };

@@ -6,7 +6,7 @@
 
 use super::bench::View;
 use super::shot::{Shot, median};
-use super::{Limits, Refusal, Rig};
+use super::{Dimensions, Limits, Refusal};
 use crate::hardware::camera::Frame;
 
 /// The tip, in base coordinates.
@@ -47,7 +47,7 @@ const EDGE_U_PIXELS: f64 = 0.2;
 /// Neighbouring columns with correlated edge errors.
 const COLUMNS_TOGETHER: f64 = 3.0;
 
-pub(super) fn find(shot: &Shot, view: &View, rig: &Rig) -> Result<Spout, Refusal> {
+pub(super) fn find(shot: &Shot, view: &View, rig: &Dimensions) -> Result<Spout, Refusal> {
     let missing = |cause| Refusal::FunnelNotFound { tip_height_mm: rig.tip_height_mm, cause };
     let in_band = |z: f64| (BAND[0] * rig.tip_height_mm..=BAND[1] * rig.tip_height_mm).contains(&z);
     let places: Vec<Option<[f64; 3]>> = (0..shot.depth_mm.len())
@@ -156,7 +156,7 @@ fn step(profile: &[[f64; 3]]) -> Option<f64> {
 
 impl Spout {
     /// The tip: where the rays through the lower edge meet the near side of the spout.
-    pub fn tip(&self, shot: &Shot, view: &View, rig: &Rig) -> Result<Tip, Refusal> {
+    pub fn tip(&self, shot: &Shot, view: &View, rig: &Dimensions) -> Result<Tip, Refusal> {
         let colour = |k: usize| shot.colour[k];
         let mut heights: Vec<f64> = Vec::new();
         let mut mm_per_pixel = Vec::new();

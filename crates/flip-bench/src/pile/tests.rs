@@ -8,7 +8,7 @@ fn scene(deg: f64) -> Scene {
     Scene::of(Surface::Cone(Cone::of_deg(deg)))
 }
 
-fn measured(scene: &Scene, rig: &Rig) -> Result<Measurement, Refusal> {
+fn measured(scene: &Scene, rig: &Dimensions) -> Result<Measurement, Refusal> {
     let taken = frames(scene, &Pose::default(), &Optics::coarse(), &Noise::default(), 1, 10);
     measure(&taken, rig, &Limits::default())
 }
@@ -20,7 +20,7 @@ fn an_exact_picture_gives_the_angle() {
     for deg in [25.0, 35.0, 50.0] {
         let noise = Noise { frame_mm: 0.05, ..Noise::NONE };
         let taken = frames(&scene(deg), &Pose::default(), &Optics::default(), &noise, 1, 10);
-        let found = measure(&taken, &Rig::default(), &Limits::default()).unwrap();
+        let found = measure(&taken, &Dimensions::default(), &Limits::default()).unwrap();
         assert!((found.tip.deg - deg).abs() < 0.25, "{deg}: {found:?}");
         assert!((found.cone.deg - deg).abs() < 0.05, "{deg}: {found:?}");
         assert!(
@@ -49,11 +49,11 @@ fn drawn_piles_are_measured_within_half_a_degree_and_the_uncertainty_holds_the_e
             let studio = Studio::drawn(deg, seed);
             let taken =
                 frames(&studio.scene, &studio.pose, &studio.optics, &studio.noise, seed, 10);
-            let rig = Rig {
+            let rig = Dimensions {
                 tip_height_mm: 60.0 + studio.ruler_mm[0],
                 base_diameter_mm: 60.0 + studio.ruler_mm[1],
                 base_height_mm: 15.0 + studio.ruler_mm[2],
-                ..Rig::default()
+                ..Dimensions::default()
             };
             let found = measure(&taken, &rig, &Limits::default()).unwrap();
             tips.push([found.tip.deg - deg, found.tip.u_deg]);
@@ -96,8 +96,8 @@ fn every_fault_of_the_camera_is_refused_by_its_name() {
     ];
     for (fault, expected) in cases {
         let taken = faulty_frames(fault, &scene(35.0), &Optics::coarse(), 5);
-        let refusal =
-            measure(&taken, &Rig::default(), &Limits::default()).expect_err(&format!("{fault:?}"));
+        let refusal = measure(&taken, &Dimensions::default(), &Limits::default())
+            .expect_err(&format!("{fault:?}"));
         assert!(expected(&refusal), "{fault:?}: {refusal}");
     }
     let uploads =
@@ -109,18 +109,18 @@ fn every_fault_of_the_camera_is_refused_by_its_name() {
 
 #[test]
 fn a_rig_that_is_not_the_one_in_view_is_refused() {
-    let rig = Rig { tip_height_mm: 64.0, ..Rig::default() };
+    let rig = Dimensions { tip_height_mm: 64.0, ..Dimensions::default() };
     assert!(matches!(measured(&scene(35.0), &rig), Err(Refusal::TipMisplaced { .. })));
-    let rig = Rig { spout_diameter_mm: 25.0, ..Rig::default() };
+    let rig = Dimensions { spout_diameter_mm: 25.0, ..Dimensions::default() };
     assert!(matches!(measured(&scene(35.0), &rig), Err(Refusal::FunnelNotFound { .. })));
     let mut aside = scene(35.0);
     aside.funnel.as_mut().unwrap().off_centre_mm = [9.0, 0.0];
-    let refused = measured(&aside, &Rig::default());
+    let refused = measured(&aside, &Dimensions::default());
     assert!(
         matches!(refused, Err(Refusal::NotCentred { .. } | Refusal::BaseNotCovered { .. })),
         "{refused:?}"
     );
-    let rig = Rig { base_diameter_mm: f64::NAN, ..Rig::default() };
+    let rig = Dimensions { base_diameter_mm: f64::NAN, ..Dimensions::default() };
     assert!(matches!(measured(&scene(35.0), &rig), Err(Refusal::Settings(_))));
 }
 
@@ -129,7 +129,10 @@ fn a_wrong_depth_scale_moves_the_stated_lengths_and_not_those_by_the_tip() {
     let optics = Optics { scale_error: 0.02, ..Optics::default() };
     let taken = frames(&scene(35.0), &Pose::default(), &optics, &Noise::default(), 2, 10);
     let by = |lengths| {
-        measure(&taken, &Rig { lengths, ..Rig::default() }, &Limits::default()).unwrap().tip.deg
+        measure(&taken, &Dimensions { lengths, ..Dimensions::default() }, &Limits::default())
+            .unwrap()
+            .tip
+            .deg
     };
     // L is 39 mm and looks 2 % shorter: h is 0.8 mm too high, 1 deg.
     assert!(
@@ -156,7 +159,7 @@ fn a_heap_of_grains_can_be_photographed() {
     }
     let heap = Scene::of(Surface::Heap(Heap::of_grains(&centres, grain)));
     let taken = frames(&heap, &Pose::default(), &Optics::default(), &Noise::default(), 1, 10);
-    let found = measure(&taken, &Rig::default(), &Limits::default()).unwrap();
+    let found = measure(&taken, &Dimensions::default(), &Limits::default()).unwrap();
     assert!((found.cone.deg - 35.0).abs() < 0.5, "{found:?}");
     // The upper sides lie up to half a grain over the centres, 0.25 mm or 0.3 deg.
     assert!((found.tip.deg - 35.2).abs() < 1.0, "{found:?}");

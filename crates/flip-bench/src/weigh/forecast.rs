@@ -322,6 +322,21 @@ mod tests {
     }
 
     #[test]
+    fn each_shake_takes_its_share_of_what_the_spoon_can_still_give() {
+        // Falls that say nothing: the level sinks by w at each.
+        let deaf = Forecast { scatter: 1e9, ..GENERIC };
+        let falls = [fall(20.0, 3.0, 2.0); 5];
+        let (level, _) = deaf.filtered(&falls, 1.0, 0.0, 1.0);
+        assert!((level - (GENERIC.level - 5.0 * GENERIC.spent)).abs() < 1e-9, "{level}");
+        // One fall, by the equations of the module.
+        let said = 2.3f64.ln() - 0.09 * 20.0 - 0.75 * 3.0f64.ln();
+        let gain = 0.64 / (0.64 + 0.35f64.powi(2) + (0.41 / 2.3f64).powi(2));
+        let (level, variance) = GENERIC.filtered(&falls[..1], 1.0, 0.0, 1.0);
+        assert!((level - (-2.3 + gain * (said + 2.3) - 0.15)).abs() < 1e-12, "{level}");
+        assert!((variance - (0.64 * (1.0 - gain) + 0.09)).abs() < 1e-12, "{variance}");
+    }
+
+    #[test]
     fn a_gentle_first_shake_of_an_unknown_powder_is_no_risk_for_five_milligrams_and_a_hard_one_is()
     {
         assert!(GENERIC.chance_above(&[], 1.0, 4.0, 1.3, 6.0) < GENERIC.risk);

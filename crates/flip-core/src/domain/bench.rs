@@ -20,11 +20,6 @@ impl BenchKind {
     pub fn has_devices(self) -> bool {
         self != Self::Simulated
     }
-
-    /// Whether the bench puts an empty vial in place for each dose without an operator.
-    pub fn exchanges_vials(self) -> bool {
-        self != Self::Devices
-    }
 }
 
 /// Largest shake amplitude, mm.

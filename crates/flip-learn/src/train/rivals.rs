@@ -3,7 +3,7 @@
 
 use super::environment::Filling;
 use super::record::Level;
-use super::schedule::{KEPT, Tuning, errors_mg, halve, mean_error_mg};
+use super::schedule::{self, KEPT, Tuning, errors_mg, halve, mean_error_mg};
 use super::spoons::Spoons;
 use flip_core::domain::bench::{INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use flip_core::domain::seed::derive;
@@ -227,8 +227,7 @@ pub fn tune_twice<F: Filling, G: Filling>(
     found(kind, controller, loss_mg, poured, levels, tuning)
 }
 
-/// Returns the `kept` best points of a search on these spoons, best first, and the number of spoons
-/// of each powder that were poured.
+/// [`schedule::search`] in the unit cube of this rival.
 fn search<F: Filling>(
     filling: &F,
     levels: &[Level],
@@ -236,26 +235,16 @@ fn search<F: Filling>(
     rival: Rival,
     kept: usize,
 ) -> (Vec<(f64, Vec<f64>)>, u32) {
-    assert!(
-        !levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0
-    );
-    let spoons = Spoons::new(filling, derive(tuning.seed, &[1]));
-    let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
-    let score =
-        |point: &Vec<f64>, doses| loss_mg(&rival.at(point).1, levels, tuning, &spoons, doses);
-    let size = rival.ranges().len();
-    let field =
-        (0..tuning.candidates).map(|_| (0..size).map(|_| rng.random_range(0.0..1.0)).collect());
-    let (best, first_spoons) = halve(field.collect(), tuning.spoons, kept, score);
-    let mut aside = |from: &Vec<f64>| -> Vec<f64> {
+    let draw = |rng: &mut Pcg64Mcg| -> Vec<f64> {
+        rival.ranges().iter().map(|_| rng.random_range(0.0..1.0)).collect()
+    };
+    let aside = |from: &Vec<f64>, rng: &mut Pcg64Mcg| -> Vec<f64> {
         from.iter().map(|u| (u + rng.random_range(-0.15..0.15)).clamp(0.0, 1.0)).collect()
     };
-    let around = (best.len()..tuning.candidates.div_ceil(2) as usize)
-        .map(|k| aside(&best[k % best.len()].1));
-    let around: Vec<Vec<f64>> = around.collect();
-    let field = best.into_iter().map(|(_, point)| point).chain(around).collect();
-    let (best, second_spoons) = halve(field, tuning.spoons, kept, score);
-    (best, first_spoons + second_spoons)
+    let score = |point: &Vec<f64>, spoons: &Spoons<F>, doses| {
+        loss_mg(&rival.at(point).1, levels, tuning, spoons, doses)
+    };
+    schedule::search(filling, levels, tuning, kept, draw, aside, score)
 }
 
 fn found(

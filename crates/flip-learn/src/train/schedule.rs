@@ -91,43 +91,63 @@ fn ramp(first: ScheduledStep, last: ScheduledStep) -> Schedule {
 /// # Panics
 /// Without powders, parameter sets, targets or candidates.
 pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned {
-    assert!(
-        !levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0
-    );
-    let spoons = Spoons::new(filling, derive(tuning.seed, &[1]));
-    let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
     let pitch_max_deg = tuning.rules.pitch.upper_deg;
-    let field = (0..tuning.candidates).map(|_| {
+    let draw = |rng: &mut Pcg64Mcg| {
         let mut step = || ScheduledStep {
             pitch_deg: rng.random_range(0.0..pitch_max_deg),
             shake_mm: rng.random_range(1.0..SHAKE_MM_MAX),
         };
         [step(), step()]
-    });
-    let score =
-        |[first, last]: &Ends, doses| score(&ramp(*first, *last), levels, tuning, &spoons, doses);
-    let (best, first_spoons) = halve(field.collect(), tuning.spoons, KEPT, score);
-    // The second field: the best of the first, and variants of them.
-    let mut aside = |from: ScheduledStep| ScheduledStep {
-        pitch_deg: (from.pitch_deg + rng.random_range(-6.0..6.0)).clamp(0.0, pitch_max_deg),
-        shake_mm: (from.shake_mm + rng.random_range(-2.5..2.5)).clamp(1.0, SHAKE_MM_MAX),
     };
-    let around = (best.len()..tuning.candidates.div_ceil(2) as usize)
-        .map(|k| best[k % best.len()].1.map(&mut aside));
-    let field = best.iter().map(|(_, ends)| *ends).chain(around).collect();
-    let (best, second_spoons) = halve(field, tuning.spoons, KEPT, score);
+    let aside = |ends: &Ends, rng: &mut Pcg64Mcg| {
+        ends.map(|from| ScheduledStep {
+            pitch_deg: (from.pitch_deg + rng.random_range(-6.0..6.0)).clamp(0.0, pitch_max_deg),
+            shake_mm: (from.shake_mm + rng.random_range(-2.5..2.5)).clamp(1.0, SHAKE_MM_MAX),
+        })
+    };
+    let score = |[first, last]: &Ends, spoons: &Spoons<F>, doses| {
+        score(&ramp(*first, *last), levels, tuning, spoons, doses)
+    };
+    let (best, spoons) = search(filling, levels, tuning, KEPT, draw, aside, score);
     let (mae_mg, [first, last]) = best[0];
-    Tuned {
-        schedule: ramp(first, last),
-        mae_mg,
-        pours: (first_spoons + second_spoons) * levels.len() as u32,
-    }
+    Tuned { schedule: ramp(first, last), mae_mg, pours: spoons * levels.len() as u32 }
 }
 
 /// The two ends of a ramp.
 type Ends = [ScheduledStep; 2];
 /// Number of candidates returned by a search.
 pub(super) const KEPT: usize = 4;
+
+/// Successive halving among candidates drawn at random, then once more among the best of them and
+/// variants: half as many as were drawn. Returns the `kept` best, best first, and the number of
+/// spoons of each powder that were poured.
+///
+/// # Panics
+/// Without powders, parameter sets or candidates.
+pub(super) fn search<F: Filling, C: Send + Sync>(
+    filling: &F,
+    levels: &[Level],
+    tuning: &Tuning,
+    kept: usize,
+    draw: impl Fn(&mut Pcg64Mcg) -> C,
+    aside: impl Fn(&C, &mut Pcg64Mcg) -> C,
+    score: impl Fn(&C, &Spoons<F>, u32) -> f64 + Sync,
+) -> (Vec<(f64, C)>, u32) {
+    assert!(
+        !levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0
+    );
+    let spoons = Spoons::new(filling, derive(tuning.seed, &[1]));
+    let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
+    let score = |candidate: &C, doses| score(candidate, &spoons, doses);
+    let drawn = (0..tuning.candidates).map(|_| draw(&mut rng)).collect();
+    let (best, first_spoons) = halve(drawn, tuning.spoons, kept, &score);
+    let around: Vec<C> = (best.len()..tuning.candidates.div_ceil(2) as usize)
+        .map(|k| aside(&best[k % best.len()].1, &mut rng))
+        .collect();
+    let field = best.into_iter().map(|(_, candidate)| candidate).chain(around).collect();
+    let (best, second_spoons) = halve(field, tuning.spoons, kept, &score);
+    (best, first_spoons + second_spoons)
+}
 
 /// Successive halving: each round scores every remaining candidate on twice as many spoons of each
 /// powder and keeps the better quarter, until `kept` are left. Returns those with their scores,

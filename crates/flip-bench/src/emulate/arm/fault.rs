@@ -1,5 +1,6 @@
 //! Faults of an emulated arm.
 
+use super::super::fault::named;
 use flip_core::domain::FieldError;
 use std::str::FromStr;
 use std::time::Duration;
@@ -62,11 +63,7 @@ impl FromStr for Fault {
     type Err = FieldError;
 
     fn from_str(name: &str) -> Result<Self, FieldError> {
-        let names = || Self::ALL.map(|fault| fault.name()).join(", ");
-        let found = Self::ALL.into_iter().find(|fault| fault.name() == name);
-        found.ok_or_else(|| {
-            FieldError::new("fault", format!("must be one of {}, got {name}", names()))
-        })
+        named(Self::ALL, |fault| fault.name(), name)
     }
 }
 

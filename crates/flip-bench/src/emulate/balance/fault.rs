@@ -1,5 +1,6 @@
 //! Faults of an emulated balance.
 
+use super::super::fault::named;
 use flip_core::domain::FieldError;
 use serde::{Deserialize, Serialize};
 
@@ -116,10 +117,7 @@ impl std::str::FromStr for Fault {
     type Err = FieldError;
 
     fn from_str(name: &str) -> Result<Self, FieldError> {
-        Self::ALL.into_iter().find(|fault| fault.name() == name).ok_or_else(|| {
-            let names = Self::ALL.map(Self::name).join(", ");
-            FieldError::new("fault", format!("must be one of {names}, got {name}"))
-        })
+        named(Self::ALL, Self::name, name)
     }
 }
 

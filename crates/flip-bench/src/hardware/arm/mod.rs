@@ -205,7 +205,7 @@ impl Arm {
     /// # Errors
     /// A device failed or must not do this; the spoon may be anywhere.
     pub fn approach(&mut self) -> Result<Executed, DeviceError> {
-        self.fresh_motion("Approach", |mut client, ticket| async move {
+        self.fresh()?.motion("Approach", |mut client, ticket| async move {
             client.approach(proto::ApproachRequest { ticket: Some(ticket) }).await
         })
     }
@@ -228,7 +228,7 @@ impl Arm {
     /// outside [`Limits`].
     pub fn pitch(&mut self, pitch_deg: f64) -> Result<Executed, DeviceError> {
         let pitch_deg = self.limits.pitch_deg(pitch_deg)?;
-        self.fresh_motion(
+        self.fresh()?.motion(
             &format!("Pitch to {pitch_deg} deg"),
             move |mut client, ticket| async move {
                 client.pitch(proto::PitchRequest { ticket: Some(ticket), pitch_deg }).await
@@ -242,7 +242,7 @@ impl Arm {
     /// As [`Arm::pitch`].
     pub fn shake(&mut self, amplitude_mm: f64) -> Result<Executed, DeviceError> {
         let amplitude_mm = self.limits.shake_mm(amplitude_mm)?;
-        self.fresh_motion(
+        self.fresh()?.motion(
             &format!("Shake by {amplitude_mm} mm"),
             move |mut client, ticket| async move {
                 client.shake(proto::ShakeRequest { ticket: Some(ticket), amplitude_mm }).await
@@ -255,7 +255,7 @@ impl Arm {
     /// # Errors
     /// As [`Arm::approach`].
     pub fn scoop(&mut self) -> Result<Executed, DeviceError> {
-        self.fresh_motion("Scoop", |mut client, ticket| async move {
+        self.fresh()?.motion("Scoop", |mut client, ticket| async move {
             client.scoop(proto::ScoopRequest { ticket: Some(ticket) }).await
         })
     }
@@ -265,7 +265,7 @@ impl Arm {
     /// # Errors
     /// As [`Arm::approach`].
     pub fn discard(&mut self) -> Result<Executed, DeviceError> {
-        self.fresh_motion("Discard", |mut client, ticket| async move {
+        self.fresh()?.motion("Discard", |mut client, ticket| async move {
             client.discard(proto::DiscardRequest { ticket: Some(ticket) }).await
         })
     }
@@ -275,7 +275,7 @@ impl Arm {
     /// # Errors
     /// As [`Arm::approach`].
     pub fn invert(&mut self) -> Result<Executed, DeviceError> {
-        self.fresh_motion("Invert", |mut client, ticket| async move {
+        self.fresh()?.motion("Invert", |mut client, ticket| async move {
             client.invert(proto::InvertRequest { ticket: Some(ticket) }).await
         })
     }
@@ -292,17 +292,10 @@ impl Arm {
         self.remote.ask(format!("Recover, says {person}"), self.deadlines.motion, call).map(drop)
     }
 
-    /// Run a motion that requires a current state of the arm.
-    fn fresh_motion<F>(
-        &mut self,
-        what: &str,
-        call: impl Fn(ArmClient<Channel>, proto::Ticket) -> F,
-    ) -> Result<Executed, DeviceError>
-    where
-        F: Future<Output = Result<tonic::Response<Executed>, tonic::Status>> + Send + 'static,
-    {
+    /// For motions that require a current state of the arm.
+    fn fresh(&mut self) -> Result<&mut Self, DeviceError> {
         self.states.newest()?;
-        self.motion(what, call)
+        Ok(self)
     }
 
     /// Request a motion under the next sequence number. If the connection breaks, send the request

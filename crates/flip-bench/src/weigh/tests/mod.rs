@@ -10,7 +10,7 @@ use super::*;
 use flip_core::domain::bench::PitchLimits;
 use flip_policy::{Schedule, ScheduledStep};
 use proptest::prelude::*;
-use scripted::{Call, Display, Fault, Scripted};
+use scripted::{Call, Display, EXCHANGED_MG, Fault, Scripted};
 
 fn shaker(pitch_deg: f64, shake_mm: f64) -> Controller {
     Controller::Schedule(Schedule { steps: vec![ScheduledStep { pitch_deg, shake_mm }] })
@@ -210,6 +210,22 @@ fn a_sound_display_is_waited_for_where_a_shake_changed_nothing_on_it_and_only_th
 }
 
 #[test]
+fn a_display_that_changed_before_the_cell_felt_all_of_a_shake_is_waited_for() {
+    // It changes at the reading, one call after the shake.
+    let lives = |call_s| {
+        let display = Display::dying_at(99);
+        let mut bench = Scripted { display, call_s, ..Scripted::giving(&[2.0]) };
+        let (hard, go) = (shaker(30.0, 16.0), AtomicBool::new(false));
+        let on = |_: &Event<'_>| ControlFlow::Continue(());
+        weigh(&mut bench, &hard, &Rules::FLIP, &ORDER, &Settings::BENCH, on, &go);
+        assert!(bench.count(Call::Act) > 3, "{:?}", bench.calls);
+        bench.count(Call::Life)
+    };
+    assert_eq!(lives(0.65), 0);
+    assert!(lives(0.55) > 0);
+}
+
+#[test]
 fn what_a_shake_gave_is_not_forgotten_where_an_incline_came_before_the_sign_of_life() {
     // 6 mg from the first shake, then an incline, and the display is waited for before the second
     // shake.
@@ -331,6 +347,14 @@ fn a_reading_that_cannot_be_trusted_ends_the_dose_by_its_name() {
             );
         }
     }
+}
+
+#[test]
+fn a_vial_exchanged_between_the_watch_and_the_tare_is_not_poured_into() {
+    let weighed = check(Call::Tare, 0, Fault::Exchanged);
+    let halt = Halt::VialMoved { fell_mg: EXCHANGED_MG };
+    assert_eq!((weighed.outcome, weighed.must_look), (Outcome::Aborted, false));
+    assert_eq!((weighed.cause, weighed.reading_mg), (Some(halt.to_string()), None));
 }
 
 #[test]

@@ -22,6 +22,8 @@ const NOTHING: Rest = Rest {
 };
 /// The vial.
 const VIAL_MG: f64 = 12_000.0;
+/// Two vials of one make differ by this or more.
+pub(super) const EXCHANGED_MG: f64 = 40.0;
 
 /// A call of the bench.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,6 +55,8 @@ pub(super) enum Fault {
     Draught,
     /// The balance restarted and lost the tare.
     Untared,
+    /// Another vial, lighter by [`EXCHANGED_MG`].
+    Exchanged,
 }
 
 /// A display that changes only when the mass changes, or when it is watched.
@@ -88,6 +92,8 @@ pub(super) struct Scripted {
     pub(super) mass_mg: f64,
     pub(super) over_the_vial: bool,
     pub(super) calls: Vec<Call>,
+    /// Bench time of each call, s.
+    pub(super) call_s: f64,
 }
 
 impl Scripted {
@@ -103,6 +109,7 @@ impl Scripted {
             mass_mg: 0.0,
             over_the_vial: false,
             calls: Vec::new(),
+            call_s: 1.0,
         }
     }
 
@@ -160,7 +167,9 @@ impl Bench for Scripted {
         self.called(Call::Approach).map(|_| ())
     }
     fn tare(&mut self) -> Result<Tare, DeviceError> {
-        self.called(Call::Tare).map(|_| Tare { tare_mg: Some(VIAL_MG) })
+        let fault = self.called(Call::Tare)?;
+        let lighter_mg = if fault == Some(Fault::Exchanged) { EXCHANGED_MG } else { 0.0 };
+        Ok(Tare { tare_mg: Some(VIAL_MG - lighter_mg) })
     }
     fn read(&mut self) -> Result<Reading, DeviceError> {
         self.called(Call::Read).map(|fault| self.shown(fault))
@@ -240,6 +249,6 @@ impl Bench for Scripted {
         self.pitch_deg
     }
     fn elapsed_s(&self) -> f64 {
-        self.calls.len() as f64
+        self.calls.len() as f64 * self.call_s
     }
 }

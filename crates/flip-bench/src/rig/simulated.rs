@@ -1,0 +1,51 @@
+//! The simulator, called directly.
+
+use super::{OnEvent, Poured, Pouring, Rig, Simulation, Task};
+use crate::hardware::DeviceError;
+use crate::hardware::simulated::SimulatedBench;
+use crate::weigh::{Settings, weigh};
+use flip_core::domain::bench::BenchKind;
+use flip_sim::balance;
+use std::sync::atomic::AtomicBool;
+
+/// A rig without devices. A dose runs as in training: no watching, no forecast.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Simulated;
+
+impl Rig for Simulated {
+    fn kind(&self) -> BenchKind {
+        BenchKind::Simulated
+    }
+
+    fn exchanges_vials(&self) -> bool {
+        true
+    }
+
+    fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
+        simulate(&pouring.task, &pouring.simulation, on_event, stop)
+    }
+
+    /// The flag is enough: no motion takes time.
+    fn halt(&self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn readability_mg(&self) -> Option<f64> {
+        Some(balance::Settings::default().readability_mg)
+    }
+}
+
+/// One dose on the simulator.
+pub fn simulate(
+    task: &Task,
+    simulation: &Simulation,
+    on_event: OnEvent<'_>,
+    stop: &AtomicBool,
+) -> Poured {
+    let Simulation { set, balance, seed, .. } = simulation;
+    let mut bench = SimulatedBench::new(set, &simulation.spoon_for(&task.rules), balance, *seed);
+    let settings = Settings { accuracy: task.accuracy, ..Settings::EPISODE };
+    let Task { controller, rules, order, .. } = task;
+    let weighed = weigh(&mut bench, controller, rules, order, &settings, on_event, stop);
+    Poured::of(weighed, Some(bench.vial_mg()))
+}
