@@ -1,12 +1,15 @@
 //! From a delivery to a settled row.
 
-use super::context::{JobContext, JobError};
+use super::host::{JobError, JobHost};
 use super::lanes::Place;
 use super::lease::{Renewer, lease_end};
+use super::leased::LeasedJob;
 use super::queue::{self, Delivery};
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
-use super::{Running, Shared, calibrate, evaluate, investigate, priority, repose, train};
+use super::{
+    Functions, Running, Shared, calibrate, evaluate, investigate, priority, repose, train,
+};
 use flip_core::domain::job::{JobKind, JobState};
 use flip_store::ledger::{Claim, Claimed, Lease};
 use flip_store::{self as store, now};
@@ -171,15 +174,9 @@ fn on_compute_thread(
     if shared.gives_way {
         priority::give_way();
     }
-    let context = JobContext::new(
-        shared.store.clone(),
-        shared.functions.clone(),
-        lease.clone(),
-        stop.clone(),
-        runtime.clone(),
-    );
-    let ended =
-        catch_unwind(AssertUnwindSafe(|| perform(&context, &claimed))).unwrap_or_else(|panic| {
+    let host = LeasedJob::new(shared.store.clone(), &claimed, stop.clone(), runtime.clone());
+    let ended = catch_unwind(AssertUnwindSafe(|| perform(&host, &shared.functions, &claimed)))
+        .unwrap_or_else(|panic| {
             Err(JobError::Retry(format!("it panicked: {}", panic_message(&*panic))))
         });
     runtime.block_on(settle_surely(shared, &lease, stop, ended));
@@ -188,17 +185,17 @@ fn on_compute_thread(
     shared.reconcile.notify_one();
 }
 
-fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
+fn perform(host: &dyn JobHost, functions: &Functions, claimed: &Claimed) -> Result<(), JobError> {
     let spec = serde_json::from_str(&claimed.spec).map_err(|error| {
         JobError::Fail(format!("the specification is of another version: {error}"))
     })?;
-    tracing::info!(job = context.id(), kind = ?claimed.kind, "computes");
+    tracing::info!(job = host.id(), kind = ?claimed.kind, "computes");
     match spec {
-        JobSpec::Calibration(spec) => calibrate::perform(context, &spec),
-        JobSpec::Training(spec) => train::perform(context, &spec, claimed.checkpoint.as_deref()),
-        JobSpec::Evaluation(spec) => evaluate::perform(context, &spec),
-        JobSpec::Investigation(spec) => investigate::perform(context, &spec),
-        JobSpec::Repose(spec) => repose::perform(context, &spec),
+        JobSpec::Calibration(spec) => calibrate::perform(host, functions, &spec),
+        JobSpec::Training(spec) => train::perform(host, functions, &spec),
+        JobSpec::Evaluation(spec) => evaluate::perform(host, functions, &spec),
+        JobSpec::Investigation(spec) => investigate::perform(host, functions, &spec),
+        JobSpec::Repose(spec) => repose::perform(host, functions, &spec),
     }
 }
 

@@ -2,6 +2,7 @@
 
 use flip::app::Functions;
 use flip::jobs::bench::{Poured, Pouring};
+use flip::jobs::heaps_on_cores;
 use flip_bench::weigh::{Event, Phase};
 use flip_core::domain::bench::{Action, Reading, Tick};
 use flip_core::domain::parameters::ParameterSet;
@@ -36,7 +37,7 @@ impl Bench {
     pub fn functions(&self) -> Functions {
         let bench = self.clone();
         Functions {
-            simulate: Arc::new(heap),
+            simulate: heaps_on_cores(heap),
             pour: Arc::new(move |pouring, on_event, stop| bench.pour(pouring, on_event, stop)),
             ..Functions::default()
         }

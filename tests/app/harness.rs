@@ -6,6 +6,7 @@ use flip::app::{
 };
 use flip::jobs::bench::{Poured, Pouring};
 use flip::jobs::train::Train;
+use flip::jobs::{heaps_on_cores, observables_on_cores};
 use flip_bench::weigh::{Event, Phase};
 use flip_core::domain::bench::{Action, Reading, Tick};
 use flip_core::domain::observable::Observable;
@@ -102,8 +103,8 @@ pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Pour
 /// The formulas.
 pub fn functions() -> Functions {
     Functions {
-        simulate: Arc::new(heap),
-        observe: Arc::new(observe),
+        simulate: heaps_on_cores(heap),
+        observe: observables_on_cores(observe),
         train: train(),
         pour: Arc::new(pour),
         bench: None,

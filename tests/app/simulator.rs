@@ -9,6 +9,7 @@ use flip::app::{
     JobState, Report, TrainingRequest, WeighingRequest,
 };
 use flip::jobs::bench::Pouring;
+use flip::jobs::heaps_on_cores;
 use flip_core::domain::conditions::{Condition, Conditions};
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::repose::{Repose, Settings};
@@ -41,7 +42,7 @@ fn wet(seen: &Arc<Seen>) -> Functions {
         of_pours.pours.lock().unwrap().push(pouring.spoon.extensions.humidity);
         pour(pouring, on_event, stop)
     };
-    Functions { simulate: Arc::new(simulate), pour: Arc::new(pour), ..functions() }
+    Functions { simulate: heaps_on_cores(simulate), pour: Arc::new(pour), ..functions() }
 }
 
 fn campaign(budget_runs: u32) -> InvestigationRequest {

@@ -17,14 +17,14 @@
 use flip::jobs::bench::{Pour, Poured, Pouring, simulated};
 use flip_bench::weigh::forecast::Forecast;
 use flip_bench::weigh::{Accuracy, Order};
-use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Outcome;
-use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
+use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, Weighing, evaluate};
 use flip_learn::train::{Event, Level, Preset, Settings, Start, TrainError, train};
 use flip_policy::{
     self as policy, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep,
 };
+use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -235,14 +235,14 @@ fn main() -> anyhow::Result<()> {
     };
     let trace = flag("trace");
     let pour = simulated();
-    let once = |controller: &Controller, _: &Subject, set: &ParameterSet, target_mg, seed| {
+    let once = |of: &Weighing<'_>| {
         let order = Order {
-            target_mg,
+            target_mg: of.target_mg,
             tolerance_lower_mg: 0.0,
             tolerance_upper_mg: 0.0,
             readability_mg: settings.balance.readability_mg,
         };
-        let (controller, balance) = (controller.clone(), settings.balance);
+        let (controller, balance) = (of.contender.controller.clone(), settings.balance);
         let (spoon, accuracy, shakes, forecast) =
             (settings.spoon, Accuracy::default(), None, Forecast::GENERIC);
         let pan = PanCheck::NONE;
@@ -255,16 +255,16 @@ fn main() -> anyhow::Result<()> {
                 rules,
                 balance,
                 spoon,
-                set: *set,
+                set: *of.set,
                 shakes,
                 forecast,
-                seed,
+                seed: of.seed,
                 pan,
             },
             trace,
         )
     };
-    let evaluation = evaluate(&plan, once)?;
+    let evaluation = evaluate(&plan, |weighings| weighings.par_iter().map(once).collect())?;
     tell(&evaluation);
     let timing = json!({ "train_s": train_s, "all_s": started.elapsed().as_secs_f64() });
     let result = json!({ "settings": settings, "rows": evaluation.rows, "summary": evaluation.summary, "timing": timing });
