@@ -138,7 +138,7 @@ impl<'a> Pourer<'a> {
         share: [f64; 2],
     ) -> Vec<Option<f64>> {
         let mut angles = vec![None; heaps.len()];
-        if self.host.flow().is_break() {
+        if self.host.flow().is_break() || self.unsaved.borrow().is_some() {
             return angles;
         }
         let (places, experiments): (Vec<usize>, Vec<HeapExperiment>) =

@@ -38,8 +38,9 @@ pub(super) type Result<T> = std::result::Result<T, JobError>;
 
 /// The outside of one attempt at a job.
 ///
-/// Every method that writes returns [`JobError::Stopped`], and has written nothing, once another
-/// attempt at the same job has begun.
+/// Once another attempt at the same job has begun, every method that writes returns
+/// [`JobError::Stopped`] and has written nothing. [`JobHost::put`] alone may still store a file:
+/// nothing names it then.
 pub(super) trait JobHost: Sync {
     /// Job id.
     fn id(&self) -> &str;

@@ -319,7 +319,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
-        tx.insert_job("j", JobKind::Evaluation, "{}", b"sha256", now()).await.unwrap();
+        tx.insert_job("j", JobKind::Evaluation, "{}", &[0; 32], now()).await.unwrap();
         tx.commit().await.unwrap();
         let late = leased(&store, claim(&store, "j", 0).await);
         let current = leased(&store, claim(&store, "j", 100).await);

@@ -12,7 +12,8 @@ use std::time::Instant;
 /// Carries out batches of experiments of one kind.
 ///
 /// An outcome depends on its experiment alone, so that neither the number of threads nor the
-/// machine changes a result.
+/// machine changes a result. A runner that cannot carry out an experiment panics, and the job is
+/// tried again: a refusal is an outcome.
 pub trait Runner<E, O>: Send + Sync {
     /// Carries out `experiments`. `each` receives every run, with the place of its experiment in
     /// the slice, as soon as it has ended: in any order, but one at a time. After `Break` no

@@ -2,7 +2,6 @@
 
 use crate::harness::{document, expect_status, flip, stderr};
 use serde_json::json;
-use std::io::BufRead;
 
 #[test]
 fn a_latched_bench_of_devices_is_not_cleared_by_a_command_that_has_another_bench() {
