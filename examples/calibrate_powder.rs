@@ -5,8 +5,9 @@
 //! [sand|sugar|salt|semolina|sodium_bicarbonate|all] [seed]`
 
 use flip_core::domain::powder::{PUBLISHED, Published};
-use flip_learn::calibrate::{Calibration, Error, Heap, Outcome, Phase, Settings, calibrate};
+use flip_learn::calibrate::{Calibration, Error, Heap, Outcome, Phase, Pour, Settings, calibrate};
 use flip_sim::repose::{Settings as HeapSettings, repose};
+use rayon::prelude::*;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -29,17 +30,15 @@ fn main() -> anyhow::Result<()> {
 
 fn search(powder: &Published, settings: &Settings) -> Result<Calibration, Error> {
     let heap_settings = HeapSettings::with_particles(settings.particles);
-    let simulate = |set: &_, _readings, seed| {
-        let pile = repose(set, &heap_settings, seed)?;
+    let heap = |pour: &Pour| {
+        let pile = repose(&pour.parameters, &heap_settings, pour.seed)
+            .map_err(|refusal| refusal.to_string())?;
         let (tip_deg, cone_deg, creep_deg_per_s) =
             (pile.tip_deg, pile.cone_deg, pile.creep_deg_per_s);
-        Ok::<_, flip_sim::repose::Refusal>(Heap {
-            tip_deg,
-            tip_sd_deg: None,
-            cone_deg,
-            creep_deg_per_s,
-        })
+        Ok(Heap { tip_deg, tip_sd_deg: None, cone_deg, creep_deg_per_s })
     };
+    // A batch of heaps at a time: here on all cores.
+    let simulate = |pours: &[Pour]| pours.par_iter().map(heap).collect();
     calibrate(&powder.automated, settings, None, &[], simulate, |trial, progress| {
         let phase = if trial.phase == Phase::Search { "search" } else { "verify" };
         match &trial.outcome {

@@ -86,6 +86,22 @@ const CONFINED: [(&str, &[&str]); 25] = [
     ("Instant", &["hardware", "emulate", "rig", "jobs", "store", "app", "api", "cli", "train"]),
 ];
 
+/// What the bodies of jobs consist of: they run wherever somebody implements `JobHost`.
+const BODIES: [&str; 9] = [
+    "calibrate",
+    "evaluate",
+    "heaps",
+    "host",
+    "investigate",
+    "observe",
+    "repose",
+    "runner",
+    "train",
+];
+
+/// Words that such a file may not hold.
+const DATABASE: [&str; 7] = ["Store", "Tx", "Lease", "Artifacts", "sqlx::", "tokio::", "async"];
+
 /// Names that say nothing about what a file holds.
 const BANNED_NAMES: [&str; 8] =
     ["utils", "util", "helpers", "helper", "common", "manager", "misc", "model"];
@@ -231,6 +247,21 @@ fn crates_and_clocks_stay_where_they_belong() {
                     places.join(", ")
                 ));
             }
+        }
+    }
+    check(offences);
+}
+
+#[test]
+fn the_bodies_of_jobs_see_no_database() {
+    let mut offences = Vec::new();
+    let bodies = BODIES.map(|name| format!("src/jobs/{name}.rs"));
+    let sources: Vec<Source> =
+        sources().into_iter().filter(|source| bodies.contains(&source.path)).collect();
+    assert_eq!(sources.len(), bodies.len());
+    for source in sources {
+        for word in DATABASE.iter().filter(|word| holds(&source.code, word)) {
+            offences.push(format!("{}: `{word}` is the host's business", source.path));
         }
     }
     check(offences);

@@ -2,23 +2,20 @@
 //! heaps of the emulator that calibrations share are saved likewise; the first calibration that
 //! needs the emulator builds it.
 
-use super::context::{JobContext, JobError};
+use super::Functions;
+use super::host::{Finished, JobError, JobHost, Piece, Result, go_on};
 use super::observe::{self, Observed};
+use super::runner::{HeapExperiment, HeapRunner, Run};
 use super::spec::CalibrationSpec;
-use flip_core::domain::job::Progress;
 use flip_core::domain::parameters::ParameterSet;
 use flip_learn::calibrate::{
-    self, CalibratedSet, Calibration, Channel, Emulator, Heap, Knowledge, Outcome, Phase, Pour,
+    self, CalibratedSet, Calibration, Channel, Emulator, Heap, Knowledge, Pour,
 };
-use flip_sim::{self as sim, repose};
-use flip_store::parameter_sets::NewSet;
-use flip_store::trials::{Trial, TrialPhase};
-use flip_store::{self as store, Tx};
+use flip_sim as sim;
+use flip_sim::repose::{Refusal, Repose, Settings as HeapSettings};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
-use std::ops::{AsyncFnOnce, ControlFlow};
-use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
+use std::cell::RefCell;
+use std::collections::VecDeque;
 
 pub use flip_learn::calibrate::posterior::{Marginal, Pair, Posterior};
 pub use flip_learn::calibrate::{Design, Method, Settings, Shortfall};
@@ -102,33 +99,19 @@ pub struct CalibrationSet {
     pub verified_error_deg: Option<f64>,
 }
 
-pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<(), JobError> {
-    let history = context.read(context.store.all_trials(context.id()))?;
-    let history: Vec<calibrate::Trial> = history.into_iter().map(from_row).collect();
-    let clock = Clock::default();
-    let simulate = |set: &ParameterSet, pour: Pour, seed: u64| {
-        let settings = repose::Settings {
-            readings: pour.readings,
-            ..repose::Settings::with_particles(pour.particles)
-        };
-        let begun = Instant::now();
-        let repose = (context.functions.simulate)(set, &settings, seed);
-        clock
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .insert(seed, begun.elapsed().as_secs_f64());
-        let repose = repose?;
-        let repose::Repose { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s, .. } = repose;
-        Ok::<_, repose::Refusal>(Heap { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s })
-    };
-    let shared = spec
-        .design
-        .as_ref()
-        .map(|design| emulator(context, design, &spec.simulator, simulate, &clock))
-        .transpose()?;
+pub(super) fn perform(
+    host: &dyn JobHost,
+    functions: &Functions,
+    spec: &CalibrationSpec,
+) -> Result<()> {
+    let simulator = Simulator { heaps: &functions.simulate, seconds: RefCell::default() };
+    let history = host.trials()?;
+    let shared = spec.design.as_ref();
+    let shared =
+        shared.map(|design| emulator(host, design, &spec.simulator, &simulator)).transpose()?;
     let (channels, built): (Vec<Channel>, Vec<u32>) = match &shared {
         Some((emulator, _)) => {
-            observe::channels(context, &spec.observations, emulator, &spec.simulator)?
+            observe::channels(host, functions, &spec.observations, emulator, &spec.simulator)?
         }
         None => Vec::new(),
     }
@@ -142,102 +125,98 @@ pub(super) fn perform(context: &JobContext, spec: &CalibrationSpec) -> Result<()
         &spec.settings,
         knowledge,
         &history,
-        simulate,
+        |pours| simulator.pour(pours),
         |trial, progress| {
-            let row = timed(trial, &clock);
-            let saved = keep(context, progress, async |tx| {
-                tx.insert_trial(context.id(), &row).await?;
-                context.tell(tx, "trial", &row).await
-            });
-            unless(saved, &mut unsaved, context)
+            let saved = host.save(Piece::Trial { trial, seconds: simulator.took_s() });
+            go_on(host, saved.and_then(|()| host.report(progress)), &mut unsaved)
         },
     );
-    match (found, unsaved) {
-        (_, Some(error)) => Err(error.into()),
-        (Ok(calibration), None) => {
-            let target = calibrate::in_emulator_heaps(&spec.target, calibration.size_shift_deg);
-            let posterior =
-                knowledge.map(|known| Posterior::of(known, &target, DRAWS, spec.settings.seed));
-            let sets: Vec<ParameterSet> =
-                calibration.sets.iter().map(|set| set.parameters).collect();
-            let observed = observe::look(context, &channels, &built, &sets, spec.settings.seed)?;
-            finish(context, spec, calibration, shared.map(|(_, used)| used), posterior, observed)
-        }
-        (Err(calibrate::Error::Stopped), None) => Err(JobError::Stopped),
-        (Err(error), None) => Err(JobError::Fail(error.to_string())),
+    let calibration = settled(found, unsaved)?;
+    let target = calibrate::in_emulator_heaps(&spec.target, calibration.size_shift_deg);
+    let posterior = knowledge.map(|known| Posterior::of(known, &target, DRAWS, spec.settings.seed));
+    let sets: Vec<ParameterSet> = calibration.sets.iter().map(|set| set.parameters).collect();
+    let seed = spec.settings.seed;
+    let observed = observe::look(host, functions, &channels, &built, &sets, seed)?;
+    finish(host, spec, calibration, shared.map(|(_, used)| used), posterior, observed)
+}
+
+/// The simulator of heaps.
+struct Simulator<'a> {
+    heaps: &'a HeapRunner,
+    /// Duration of each heap that is not saved yet, in their order, s.
+    seconds: RefCell<VecDeque<f64>>,
+}
+
+impl Simulator<'_> {
+    fn pour(&self, pours: &[Pour]) -> Vec<std::result::Result<Heap, String>> {
+        let experiment = |pour: &Pour| HeapExperiment {
+            set: pour.parameters,
+            settings: HeapSettings {
+                readings: pour.readings,
+                ..HeapSettings::with_particles(pour.particles)
+            },
+            seed: pour.seed,
+        };
+        let runs = self.heaps.run_all(&pours.iter().map(experiment).collect::<Vec<_>>());
+        self.seconds.borrow_mut().extend(runs.iter().map(|run| run.seconds));
+        let heap = |run: Run<std::result::Result<Repose, Refusal>>| {
+            let repose = run.outcome.map_err(|refusal| refusal.to_string())?;
+            let Repose { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s, .. } = repose;
+            Ok(Heap { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s })
+        };
+        runs.into_iter().map(heap).collect()
+    }
+
+    /// How long the next heap to be saved took, s.
+    fn took_s(&self) -> Option<f64> {
+        self.seconds.borrow_mut().pop_front()
     }
 }
 
 /// The emulator of a design, with the stored heaps, and the missing ones.
 fn emulator(
-    context: &JobContext,
+    host: &dyn JobHost,
     design: &Design,
-    simulator: &str,
-    simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, repose::Refusal> + Sync,
-    clock: &Clock,
-) -> Result<(Emulator, EmulatorUse), JobError> {
-    let id = design.id(simulator);
-    let stored = context.read(context.store.emulator_runs(&id))?;
-    let stored: Vec<calibrate::Trial> = stored.into_iter().map(from_row).collect();
+    version: &str,
+    simulator: &Simulator<'_>,
+) -> Result<(Emulator, EmulatorUse)> {
+    let id = design.id(version);
+    let stored = host.emulator_heaps(&id)?;
     let mut unsaved = None;
-    let built = calibrate::build(design, sim::directions, &stored, simulate, |run, progress| {
-        let row = timed(run, clock);
-        let saved = keep(context, progress, async |tx| tx.insert_emulator_run(&id, &row).await);
-        unless(saved, &mut unsaved, context)
+    let pour = |pours: &[Pour]| simulator.pour(pours);
+    let built = calibrate::build(design, sim::directions, &stored, pour, |heap, progress| {
+        let piece = Piece::EmulatorHeap { emulator: &id, heap, seconds: simulator.took_s() };
+        let saved = host.save(piece).and_then(|()| host.report(progress));
+        go_on(host, saved, &mut unsaved)
     });
-    match (built, unsaved) {
-        (_, Some(error)) => Err(error.into()),
-        (Ok(emulator), None) => {
-            let (sha256, runs) = (emulator.hash().to_owned(), emulator.runs());
-            Ok((emulator, EmulatorUse { id, sha256, runs, built: runs - stored.len() as u32 }))
-        }
+    let emulator = settled(built, unsaved)?;
+    let (sha256, runs) = (emulator.hash().to_owned(), emulator.runs());
+    Ok((emulator, EmulatorUse { id, sha256, runs, built: runs - stored.len() as u32 }))
+}
+
+/// The result of a step of a calibration; what could not be saved comes first.
+pub(super) fn settled<T>(
+    found: std::result::Result<T, calibrate::Error>,
+    unsaved: Option<JobError>,
+) -> Result<T> {
+    match (found, unsaved) {
+        (_, Some(error)) => Err(error),
+        (Ok(found), None) => Ok(found),
         (Err(calibrate::Error::Stopped), None) => Err(JobError::Stopped),
         (Err(error), None) => Err(JobError::Fail(error.to_string())),
     }
 }
 
-/// Saves a new item and reports progress.
-pub(super) fn keep(
-    context: &JobContext,
-    progress: &Progress,
-    save: impl AsyncFnOnce(&mut Tx) -> store::Result<()>,
-) -> store::Result<()> {
-    context.save(async |tx| save(tx).await.map(|()| true))?;
-    context.report(progress)
-}
-
-/// Continues unless the job was asked to stop or the last item could not be saved, in which case
-/// the error is left in `unsaved`.
-pub(super) fn unless(
-    saved: store::Result<()>,
-    unsaved: &mut Option<store::Error>,
-    context: &JobContext,
-) -> ControlFlow<()> {
-    match saved {
-        Ok(()) => context.flow(),
-        Err(error) => {
-            *unsaved = Some(error);
-            ControlFlow::Break(())
-        }
-    }
-}
-
 fn finish(
-    context: &JobContext,
+    host: &dyn JobHost,
     spec: &CalibrationSpec,
     calibration: Calibration,
     emulator: Option<EmulatorUse>,
     posterior: Option<Posterior>,
     observed: Vec<Observed>,
-) -> Result<(), JobError> {
-    let posterior = match posterior {
-        Some(posterior) => {
-            let text = serde_json::to_vec(&posterior)
-                .map_err(|error| JobError::Fail(error.to_string()))?;
-            Some(context.store.artifacts().put(&text)?)
-        }
-        None => None,
-    };
+) -> Result<()> {
+    let text = posterior.as_ref().map(serde_json::to_vec).transpose();
+    let text = text.map_err(|error| JobError::Fail(error.to_string()))?;
     let result = CalibrationResult {
         reached: calibration.shortfall.is_none(),
         evaluations: calibration.evaluations,
@@ -249,24 +228,10 @@ fn finish(
         size_shift_deg: calibration.size_shift_deg,
         shortfall: calibration.shortfall,
         emulator,
-        posterior,
+        posterior: text.map(|text| host.put(&text)).transpose()?,
         observed,
     };
-    context.succeed(&result, async |tx| {
-        for (position, set) in (0..).zip(calibration.sets) {
-            let new = NewSet {
-                parameters: set.parameters,
-                repose_deg: set.repose_deg,
-                repose_sd_deg: set.repose_sd_deg,
-                runs: set.runs,
-                error_deg: set.verified_error_deg,
-                simulator: spec.under.as_ref().map(|under| under.simulator.clone()),
-            };
-            tx.insert_parameter_set(context.id(), spec.powder.as_deref(), position, &new).await?;
-        }
-        Ok(())
-    })?;
-    Ok(())
+    host.finish(&Finished::Calibration { spec, result: &result })
 }
 
 fn kept(set: &CalibratedSet) -> CalibrationSet {
@@ -278,60 +243,5 @@ fn kept(set: &CalibratedSet) -> CalibrationSet {
         runs: set.runs,
         error_deg: set.error_deg,
         verified_error_deg: Some(set.verified_error_deg),
-    }
-}
-
-/// Duration of each simulation, by seed, until it is stored; s.
-type Clock = Mutex<HashMap<u64, f64>>;
-
-fn timed(trial: &calibrate::Trial, clock: &Clock) -> Trial {
-    let seconds = clock.lock().unwrap_or_else(PoisonError::into_inner).remove(&trial.seed);
-    Trial { seconds, ..to_row(trial) }
-}
-
-fn to_row(trial: &calibrate::Trial) -> Trial {
-    let (heap, refusal) = match &trial.outcome {
-        Outcome::Heap(heap) => (Some(heap), None),
-        Outcome::Refused(reason) => (None, Some(reason.clone())),
-    };
-    Trial {
-        index: trial.index,
-        phase: match trial.phase {
-            Phase::Search => TrialPhase::Search,
-            Phase::Verification => TrialPhase::Verification,
-        },
-        candidate: trial.candidate,
-        parameters: trial.parameters,
-        seed: trial.seed,
-        readings: trial.readings,
-        tip_sd_deg: heap.and_then(|h| h.tip_sd_deg),
-        tip_deg: heap.map(|h| h.tip_deg),
-        cone_deg: heap.map(|h| h.cone_deg),
-        creep_deg_per_s: heap.map(|h| h.creep_deg_per_s),
-        refusal,
-        error_deg: trial.error_deg,
-        seconds: None,
-    }
-}
-
-fn from_row(row: Trial) -> calibrate::Trial {
-    let outcome = match (row.tip_deg, row.cone_deg, row.creep_deg_per_s) {
-        (Some(tip_deg), Some(cone_deg), Some(creep_deg_per_s)) => {
-            Outcome::Heap(Heap { tip_deg, tip_sd_deg: row.tip_sd_deg, cone_deg, creep_deg_per_s })
-        }
-        _ => Outcome::Refused(row.refusal.unwrap_or_default()),
-    };
-    calibrate::Trial {
-        index: row.index,
-        phase: match row.phase {
-            TrialPhase::Search => Phase::Search,
-            TrialPhase::Verification => Phase::Verification,
-        },
-        candidate: row.candidate,
-        parameters: row.parameters,
-        seed: row.seed,
-        readings: row.readings,
-        outcome,
-        error_deg: row.error_deg,
     }
 }

@@ -1,26 +1,27 @@
 //! The evaluation job: runs the weighing loop on powders that the policy has not met, and simple
 //! controllers for comparison.
 
-use super::context::{JobContext, JobError};
+use super::Functions;
+use super::host::{Finished, JobError, JobHost, Piece, Result, go_on};
+use super::runner::{Cores, Run, Runner};
 use super::spec::EvaluationSpec;
 use flip_bench::rig::{Simulation, Task, simulate};
 use flip_bench::weigh::{Accuracy, Event, Order};
 use flip_core::domain::job::Progress;
-use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::weighing::Outcome;
-use flip_learn::train::evaluate::{Contender, Dose, Plan, Row, Subject, Summary, evaluate};
+use flip_learn::train::evaluate::{
+    Contender, Dose, Plan, Row, Subject, Summary, Weighing, evaluate,
+};
 use flip_policy::{
     self, Controller, Dispenser, Fuzzy, Kind, Paced, Pid, Policy, Response, Rules, Schedule,
     ScheduledStep,
 };
 use flip_sim::{balance, dispense};
-use flip_store as store;
 use flip_store::evaluations::{EvaluationRow, EvaluationSummary};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::AtomicBool;
 
 /// The controllers that an evaluation can compare.
 pub const CONTROLLERS: [&str; 8] =
@@ -30,13 +31,13 @@ pub const POLICY: &str = "policy";
 
 /// One dose on the simulator: [`simulated`] in the product, a formula in tests. The error is why it
 /// has no result.
-pub type Weigh = Arc<dyn Fn(&Task, &Simulation) -> Result<Dose, String> + Send + Sync>;
+pub type Weigh = Arc<dyn Fn(&Task, &Simulation) -> std::result::Result<Dose, String> + Send + Sync>;
 
 /// One dose on the simulator, to its end.
 ///
 /// # Errors
 /// Why there is no stable reading.
-pub fn simulated(task: &Task, simulation: &Simulation) -> Result<Dose, String> {
+pub fn simulated(task: &Task, simulation: &Simulation) -> std::result::Result<Dose, String> {
     let mut go_on = |_: &Event<'_>| ControlFlow::Continue(());
     let poured = simulate(task, simulation, &mut go_on, &AtomicBool::new(false));
     match (poured.dispensed_mg, poured.reading_mg) {
@@ -56,63 +57,99 @@ pub struct EvaluationResult {
     pub summary: Vec<EvaluationSummary>,
 }
 
-pub(super) fn perform(context: &JobContext, spec: &EvaluationSpec) -> Result<(), JobError> {
-    let policy = load_policy(context, &spec.policy)?;
-    let plan = plan(context, spec, &policy)?;
+pub(super) fn perform(
+    host: &dyn JobHost,
+    functions: &Functions,
+    spec: &EvaluationSpec,
+) -> Result<()> {
+    let policy = load_policy(host, &spec.policy)?;
+    let plan = plan(host, spec, &policy)?;
     let rules = Rules { steps_max: spec.max_shakes, ..policy.manifest.rules };
-    let doses = Doses::resume(context, &plan)?;
-    let weigh_once = |controller: &Controller,
-                      subject: &Subject,
-                      set: &ParameterSet,
-                      target_mg: f64,
-                      seed: u64| {
-        doses.known_or(controller, set, target_mg, seed, || {
-            let patch =
-                spec.powders.iter().find(|it| it.powder == subject.powder).map(|it| &it.patch);
-            let patch = patch.cloned().unwrap_or_default();
-            let usual = spec.conditions.spoon();
-            let extensions = usual
-                .extensions
-                .patched(&patch)
-                .map_err(|error| JobError::Fail(error.to_string()))?;
-            let task = Task {
-                order: Order {
-                    target_mg,
-                    tolerance_lower_mg: 0.0,
-                    tolerance_upper_mg: 0.0,
-                    readability_mg: spec.readability_mg,
-                },
-                accuracy: Accuracy::default(),
-                controller: controller.clone(),
-                rules,
-            };
-            let simulation = Simulation {
-                set: patch.powder(set),
-                spoon: dispense::Settings { extensions, ..usual },
-                balance: balance::Settings {
-                    readability_mg: spec.readability_mg,
-                    ..balance::Settings::default()
-                },
-                seed,
-            };
-            (context.functions.weigh)(&task, &simulation).map_err(|cause| {
-                JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {cause}"))
-            })
+    let weigh = Cores(|of: &Weighing<'_>| {
+        let (task, simulation) = (task(spec, rules, of), simulation(spec, of)?);
+        (functions.weigh)(&task, &simulation).map_err(|cause| {
+            JobError::Fail(format!("a weighing of {} mg was aborted: {cause}", of.target_mg))
         })
-    };
-    let found = evaluate(&plan, weigh_once)?;
+    });
+    let found = evaluate(&plan, |weighings| doses(host, weighings, &weigh))?;
     let result = EvaluationResult {
         rows: found.rows.iter().map(row).collect(),
         summary: found.summary.iter().map(summary).collect(),
     };
-    context.succeed(&result, async |tx| {
-        for (position, row) in (0..).zip(&result.rows) {
-            let about = about(spec, &policy, &rules, &row.controller);
-            tx.insert_evaluation_row(context.id(), position, about, row).await?;
-        }
-        Ok(())
-    })?;
-    Ok(())
+    let evidence: Vec<Option<&str>> =
+        result.rows.iter().map(|row| about(spec, &policy, &rules, &row.controller)).collect();
+    host.finish(&Finished::Evaluation { result: &result, evidence: &evidence })
+}
+
+/// What to weigh.
+fn task(spec: &EvaluationSpec, rules: Rules, of: &Weighing<'_>) -> Task {
+    Task {
+        order: Order {
+            target_mg: of.target_mg,
+            tolerance_lower_mg: 0.0,
+            tolerance_upper_mg: 0.0,
+            readability_mg: spec.readability_mg,
+        },
+        accuracy: Accuracy::default(),
+        controller: of.contender.controller.clone(),
+        rules,
+    }
+}
+
+/// The bench to simulate.
+fn simulation(spec: &EvaluationSpec, of: &Weighing<'_>) -> Result<Simulation> {
+    let patch = spec.powders.iter().find(|it| it.powder == of.subject.powder).map(|it| &it.patch);
+    let patch = patch.cloned().unwrap_or_default();
+    let usual = spec.conditions.spoon();
+    let extensions =
+        usual.extensions.patched(&patch).map_err(|error| JobError::Fail(error.to_string()))?;
+    Ok(Simulation {
+        set: patch.powder(of.set),
+        spoon: dispense::Settings { extensions, ..usual },
+        balance: balance::Settings {
+            readability_mg: spec.readability_mg,
+            ..balance::Settings::default()
+        },
+        seed: of.seed,
+    })
+}
+
+/// The doses of all weighings. Each is saved as it comes, and those of earlier attempts are not
+/// weighed again.
+pub(super) fn doses<'a>(
+    host: &dyn JobHost,
+    weighings: &[Weighing<'a>],
+    weigh: &impl Runner<Weighing<'a>, Result<Dose>>,
+) -> Result<Vec<Dose>> {
+    let known = host.doses()?;
+    let mut doses: Vec<Option<Dose>> =
+        weighings.iter().map(|of| known.get(&key(of)).copied()).collect();
+    let places: Vec<usize> = (0..doses.len()).filter(|&place| doses[place].is_none()).collect();
+    let missing: Vec<Weighing<'_>> = places.iter().map(|&place| weighings[place]).collect();
+    if !missing.is_empty() && host.flow().is_break() {
+        return Err(JobError::Stopped);
+    }
+    let (mut done, mut unsaved) = (known.len(), None);
+    weigh.run(&missing, &mut |k, Run { outcome, .. }| {
+        let saved = outcome.and_then(|dose| {
+            host.save(Piece::Dose { key: &key(&missing[k]), dose: &dose })?;
+            doses[places[k]] = Some(dose);
+            done += 1;
+            let message = format!("dose {done} of {}", weighings.len());
+            let fraction = done as f64 / weighings.len() as f64;
+            host.report(&Progress { fraction, message })
+        });
+        go_on(host, saved, &mut unsaved)
+    });
+    match unsaved {
+        Some(error) => Err(error),
+        None => doses.into_iter().collect::<Option<_>>().ok_or(JobError::Stopped),
+    }
+}
+
+/// The name of a dose within its evaluation.
+fn key(of: &Weighing<'_>) -> String {
+    format!("{} {} {} {}", of.contender.name, of.set.id(), of.target_mg, of.seed)
 }
 
 /// The policy whose ranking a controller's errors count towards, if any: only doses like those of a
@@ -142,13 +179,13 @@ fn about<'a>(
     }
 }
 
-pub(super) fn load_policy(context: &JobContext, id: &str) -> Result<Policy, JobError> {
-    let bytes = context.read(context.store.policy_bytes(id))?;
+pub(super) fn load_policy(host: &dyn JobHost, id: &str) -> Result<Policy> {
+    let bytes = host.policy(id)?;
     let bytes = bytes.ok_or_else(|| JobError::Fail(format!("there is no policy `{id}`")))?;
     flip_policy::decode(&bytes).map_err(|error| JobError::Fail(error.to_string()))
 }
 
-fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<Plan, JobError> {
+fn plan(host: &dyn JobHost, spec: &EvaluationSpec, policy: &Policy) -> Result<Plan> {
     let contender = |name: &String| {
         let controller = match name.as_str() {
             POLICY => policy.controller.clone(),
@@ -177,16 +214,15 @@ fn plan(context: &JobContext, spec: &EvaluationSpec, policy: &Policy) -> Result<
     for powder in &spec.powders {
         let mut sets = Vec::new();
         for id in &powder.sets {
-            let set = context.read(context.store.parameter_set(id))?;
+            let set = host.parameter_set(id)?;
             sets.push(
-                set.ok_or_else(|| JobError::Fail(format!("there is no parameter set `{id}`")))?
-                    .parameters,
+                set.ok_or_else(|| JobError::Fail(format!("there is no parameter set `{id}`")))?,
             );
         }
         subjects.push(Subject { powder: powder.powder.clone(), sets });
     }
     Ok(Plan {
-        contenders: spec.controllers.iter().map(contender).collect::<Result<_, _>>()?,
+        contenders: spec.controllers.iter().map(contender).collect::<Result<_>>()?,
         subjects,
         targets_mg: spec.targets_mg.clone(),
         repeats: spec.repeats,
@@ -223,52 +259,6 @@ pub fn tuned_schedule() -> Schedule {
     ];
     Schedule {
         steps: STEPS.map(|(pitch_deg, shake_mm)| ScheduledStep { pitch_deg, shake_mm }).to_vec(),
-    }
-}
-
-/// Doses that are stored as they complete, so that an evaluation that was killed does not repeat
-/// them.
-struct Doses<'a> {
-    context: &'a JobContext,
-    plan: &'a Plan,
-    known: HashMap<String, Dose>,
-    done: AtomicUsize,
-    all: usize,
-}
-
-impl<'a> Doses<'a> {
-    fn resume(context: &'a JobContext, plan: &'a Plan) -> store::Result<Self> {
-        let known = context.read(context.store.doses(context.id()))?;
-        let cells = plan.contenders.len() * plan.subjects.len() * plan.targets_mg.len();
-        let all = cells * plan.repeats as usize;
-        Ok(Self { context, plan, done: AtomicUsize::new(known.len()), known, all })
-    }
-
-    fn known_or(
-        &self,
-        controller: &Controller,
-        set: &ParameterSet,
-        target_mg: f64,
-        seed: u64,
-        weigh: impl FnOnce() -> Result<Dose, JobError>,
-    ) -> Result<Dose, JobError> {
-        let contender =
-            self.plan.contenders.iter().find(|c| std::ptr::eq(&c.controller, controller));
-        let name = contender.map_or("", |c| c.name.as_str());
-        let key = format!("{name} {} {target_mg} {seed}", set.id());
-        if let Some(dose) = self.known.get(&key) {
-            return Ok(*dose);
-        }
-        if self.context.flow().is_break() {
-            return Err(JobError::Stopped);
-        }
-        let dose = weigh()?;
-        self.context
-            .save(async |tx| tx.insert_dose(self.context.id(), &key, &dose).await.map(|()| true))?;
-        let done = self.done.fetch_add(1, Ordering::SeqCst) + 1;
-        let message = format!("dose {done} of {}", self.all);
-        self.context.report(&Progress { fraction: done as f64 / self.all as f64, message })?;
-        Ok(dose)
     }
 }
 

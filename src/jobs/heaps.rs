@@ -1,20 +1,20 @@
 //! The heaps of an investigation: numerical errors of the simulator, independent of any data, and
 //! the amplitudes of an extension.
 
-use super::context::{JobContext, JobError};
+use super::Functions;
+use super::host::{JobError, JobHost, Result, go_on};
+use super::runner::{HeapExperiment, Run};
 use super::spec::{Heaps, InvestigationSpec};
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::job::Progress;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_discover::extension::Hook;
-use flip_discover::numerics::{self, Varied};
+use flip_discover::numerics::{self, Varied, VariedHeap};
 use flip_discover::report::{Numerics, Report};
-use flip_discover::{Extended, fit};
+use flip_discover::{Extended, FitHeap, fit};
 use flip_sim::repose::Settings;
-use flip_store as store;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::cell::{Cell, RefCell};
 
 /// Readings per heap, as in the verification of calibrations.
 const READINGS: u32 = 4;
@@ -30,67 +30,53 @@ const FIT: u64 = 2;
 
 /// Pours the heaps of an investigation, counts them, and reports progress.
 pub(super) struct Pourer<'a> {
-    context: &'a JobContext,
+    host: &'a dyn JobHost,
+    functions: &'a Functions,
     heaps: &'a Heaps,
     seed: u64,
-    poured: AtomicU32,
-    unsaved: Mutex<Option<store::Error>>,
+    poured: Cell<u32>,
+    unsaved: RefCell<Option<JobError>>,
 }
 
 impl<'a> Pourer<'a> {
     /// Creates one that has poured nothing; `None` if an investigation simulates nothing.
-    pub(super) fn of(context: &'a JobContext, spec: &'a InvestigationSpec) -> Option<Self> {
+    pub(super) fn of(
+        host: &'a dyn JobHost,
+        functions: &'a Functions,
+        spec: &'a InvestigationSpec,
+    ) -> Option<Self> {
         let heaps = spec.heaps.as_ref().filter(|heaps| !heaps.sets.is_empty())?;
         Some(Self {
-            context,
+            host,
+            functions,
             heaps,
             seed: spec.settings.seed,
-            poured: AtomicU32::new(0),
-            unsaved: Mutex::default(),
+            poured: Cell::default(),
+            unsaved: RefCell::default(),
         })
     }
 
     /// Number of heaps so far.
     pub(super) fn poured(&self) -> u32 {
-        self.poured.load(Ordering::SeqCst)
+        self.poured.get()
     }
 
     /// Whether angles depend on numerical settings, with a share of the budget; `None` if that is
     /// too small.
-    pub(super) fn numerics(&self, share: [f64; 2]) -> Result<Option<Numerics>, JobError> {
+    pub(super) fn numerics(&self, share: [f64; 2]) -> Result<Option<Numerics>> {
         let repeats = (self.heaps.budget_runs / BUDGET_PER_REPEAT).min(REPEATS_MAX);
         // The middle powder in the order listed.
         let (set, parameters) = &self.heaps.sets[self.heaps.sets.len() / 2];
         if repeats < 2 {
             return Ok(None);
         }
-        let found = numerics::criticise(
-            1,
-            repeats,
-            derive(self.seed, &[NUMERICS]),
-            |_, varied, factor, seed| {
-                let usual = match varied {
-                    Varied::Particles => Settings::with_particles(
-                        (factor * f64::from(Settings::default().particles)) as u32,
-                    ),
-                    _ => Settings::default(),
-                };
-                let settings = match varied {
-                    Varied::SettlingTime => {
-                        Settings { settle_max_s: usual.settle_max_s * factor, ..usual }
-                    }
-                    Varied::Substep => Settings { substep_s: usual.substep_s * factor, ..usual },
-                    Varied::Particles => usual,
-                };
-                self.pour(
-                    parameters,
-                    settings,
-                    seed,
-                    "whether heaps depend on how they are computed",
-                    share,
-                )
-            },
-        );
+        let what = "whether heaps depend on how they are computed";
+        let heap = |of: &VariedHeap| {
+            Some(HeapExperiment { set: *parameters, settings: computed(of), seed: of.seed })
+        };
+        let found = numerics::criticise(1, repeats, derive(self.seed, &[NUMERICS]), |heaps| {
+            self.pour(heaps.iter().map(heap), what, share)
+        });
         self.settled()?;
         // A dependence without an interval cannot be reported and carries no information.
         let dependences: Vec<_> =
@@ -105,7 +91,7 @@ impl<'a> Pourer<'a> {
         extended: &mut Extended,
         report: &mut Report,
         share: [f64; 2],
-    ) -> Result<(), JobError> {
+    ) -> Result<()> {
         let sets: Vec<_> = self.heaps.sets.iter().map(|it| it.0.clone()).collect();
         let mut left =
             extended.extensions.iter().filter(|it| it.hook != Hook::Reading).count() as u32;
@@ -116,9 +102,12 @@ impl<'a> Pourer<'a> {
             let budget = self.heaps.budget_runs.saturating_sub(self.poured()) / left;
             left -= 1;
             let seed = derive(self.seed, &[FIT, k as u64]);
-            let found = fit(extension, &sets, budget, seed, |set, patch, seed| {
-                let (parameters, settings) = under(&self.heaps.sets[set].1, patch)?;
-                self.pour(&parameters, settings, seed, "the amplitude of the extension", share)
+            let heap = |of: &FitHeap| {
+                let (set, settings) = under(&self.heaps.sets[of.set].1, &of.patch)?;
+                Some(HeapExperiment { set, settings, seed: of.seed })
+            };
+            let found = fit(extension, &sets, budget, seed, |heaps| {
+                self.pour(heaps.iter().map(heap), "the amplitude of the extension", share)
             });
             self.settled()?;
             let Some((amplitude, fit)) = found else {
@@ -140,37 +129,60 @@ impl<'a> Pourer<'a> {
         Ok(())
     }
 
-    /// The angle of a heap; `None` if it has none, or the job is to end.
+    /// The angles of heaps, in order; `None` where there is no experiment or no angle, or the job
+    /// is to end.
     fn pour(
         &self,
-        set: &ParameterSet,
-        settings: Settings,
-        seed: u64,
+        heaps: impl ExactSizeIterator<Item = Option<HeapExperiment>>,
         what: &str,
         share: [f64; 2],
-    ) -> Option<f64> {
-        if self.context.flow().is_break() {
-            return None;
+    ) -> Vec<Option<f64>> {
+        let mut angles = vec![None; heaps.len()];
+        if self.host.flow().is_break() || self.unsaved.borrow().is_some() {
+            return angles;
         }
-        let settings = Settings { readings: READINGS, ..settings };
-        let heap = (self.context.functions.simulate)(set, &settings, seed);
-        let poured = self.poured.fetch_add(1, Ordering::SeqCst) + 1;
-        let budget = self.heaps.budget_runs;
-        let done = (f64::from(poured) / f64::from(budget)).min(1.0);
-        let message = format!("{what}: heap {poured} of at most {budget}");
-        let progress = Progress { fraction: share[0] + (share[1] - share[0]) * done, message };
-        if let Err(error) = self.context.report(&progress) {
-            self.unsaved.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+        let (places, experiments): (Vec<usize>, Vec<HeapExperiment>) =
+            heaps.enumerate().filter_map(|(place, heap)| Some((place, read(heap?)))).unzip();
+        let (mut poured, mut unsaved) = (self.poured.get(), None);
+        let (host, budget) = (self.host, self.heaps.budget_runs);
+        self.functions.simulate.run(&experiments, &mut |k, Run { outcome, .. }| {
+            angles[places[k]] = outcome.ok().map(|heap| heap.tip_deg);
+            poured += 1;
+            let done = (f64::from(poured) / f64::from(budget)).min(1.0);
+            let message = format!("{what}: heap {poured} of at most {budget}");
+            let progress = Progress { fraction: share[0] + (share[1] - share[0]) * done, message };
+            go_on(host, host.report(&progress), &mut unsaved)
+        });
+        self.poured.set(poured);
+        if let Some(error) = unsaved {
+            self.unsaved.borrow_mut().get_or_insert(error);
         }
-        heap.ok().map(|heap| heap.tip_deg)
+        angles
     }
 
     /// Whether all requested heaps were poured.
-    fn settled(&self) -> Result<(), JobError> {
-        if let Some(error) = self.unsaved.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            return Err(error.into());
+    fn settled(&self) -> Result<()> {
+        match self.unsaved.take() {
+            Some(error) => Err(error),
+            None if self.host.flow().is_break() => Err(JobError::Stopped),
+            None => Ok(()),
         }
-        if self.context.flow().is_break() { Err(JobError::Stopped) } else { Ok(()) }
+    }
+}
+
+/// This heap, read as often as those of an investigation are.
+fn read(heap: HeapExperiment) -> HeapExperiment {
+    HeapExperiment { settings: Settings { readings: READINGS, ..heap.settings }, ..heap }
+}
+
+/// The heap experiment with one setting of the computation varied.
+fn computed(heap: &VariedHeap) -> Settings {
+    let usual = Settings::default();
+    let factor = heap.factor;
+    match heap.varied {
+        Varied::SettlingTime => Settings { settle_max_s: usual.settle_max_s * factor, ..usual },
+        Varied::Substep => Settings { substep_s: usual.substep_s * factor, ..usual },
+        Varied::Particles => Settings::with_particles((factor * f64::from(usual.particles)) as u32),
     }
 }
 

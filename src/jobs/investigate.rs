@@ -3,9 +3,9 @@
 //!
 //! Nothing is saved midway: repeating it on the same campaign gives the same report.
 
-use super::calibrate::unless;
-use super::context::{JobContext, JobError};
+use super::Functions;
 use super::heaps::Pourer;
+use super::host::{Finished, JobError, JobHost, NewVersion, Result, go_on};
 use super::spec::InvestigationSpec;
 use flip_core::domain::job::Progress;
 use flip_discover::investigate;
@@ -18,10 +18,14 @@ use std::time::Instant;
 /// Progress at which the statistical judgement begins and ends in a job that also simulates.
 const JUDGED: [f64; 2] = [0.15, 0.75];
 
-pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<(), JobError> {
+pub(super) fn perform(
+    host: &dyn JobHost,
+    functions: &Functions,
+    spec: &InvestigationSpec,
+) -> Result<()> {
     let InvestigationSpec { campaign, traces, settings, simulator, .. } = spec;
     let began = Instant::now();
-    let pourer = Pourer::of(context, spec);
+    let pourer = Pourer::of(host, functions, spec);
     let numerics = match &pourer {
         Some(pourer) => pourer.numerics([0.0, JUDGED[0]])?,
         None => None,
@@ -31,10 +35,10 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
     let report = investigate(campaign.as_ref(), traces.as_ref(), simulator, settings, |progress| {
         let fraction = from + (until - from) * progress.fraction;
         let progress = Progress { fraction, message: progress.message.clone() };
-        unless(context.report(&progress), &mut unsaved, context)
+        go_on(host, host.report(&progress), &mut unsaved)
     });
     if let Some(error) = unsaved {
-        return Err(error.into());
+        return Err(error);
     }
     let mut report =
         report.map_err(|error| JobError::Fail(error.to_string()))?.ok_or(JobError::Stopped)?;
@@ -57,11 +61,8 @@ pub(super) fn perform(context: &JobContext, spec: &InvestigationSpec) -> Result<
     report.wall_s = began.elapsed().as_secs_f64();
     let body = serde_json::to_string(&Body::of(&report, extended))
         .map_err(|error| JobError::Fail(error.to_string()))?;
-    context.succeed(&report, async |tx| match &version {
-        Some(version) => tx.insert_simulator(version, simulator, context.id(), &body).await,
-        None => Ok(()),
-    })?;
-    Ok(())
+    let version = version.as_deref().map(|id| NewVersion { id, base: simulator, body: &body });
+    host.finish(&Finished::Investigation { report: &report, version })
 }
 
 /// Description stored with a simulator version.

@@ -17,15 +17,18 @@
 pub mod bench;
 pub mod calibrate;
 mod conditions;
-mod context;
 pub mod evaluate;
 mod heaps;
+mod host;
 mod investigate;
 mod lanes;
 mod lease;
+mod leased;
 pub mod observe;
 mod priority;
 pub mod repose;
+mod rows;
+mod runner;
 mod spec;
 pub mod spoon;
 mod stop;
@@ -33,8 +36,11 @@ pub mod train;
 mod worker;
 
 pub use conditions::Conditions;
-pub use context::JobError;
 pub use priority::give_way_to_the_bench;
+pub use runner::{
+    Cores, HeapExperiment, HeapRunner, ObservableExperiment, ObservableRunner, Run, Runner,
+    heaps_on_cores, observables_on_cores,
+};
 pub use spec::{
     CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec,
     ReposeSpec, SIMULATOR, TrainingSpec,
@@ -42,9 +48,6 @@ pub use spec::{
 
 use bench::Bench;
 use flip_bench::rig::{Rig, Simulated};
-use flip_core::domain::observable::Observable;
-use flip_core::domain::parameters::ParameterSet;
-use flip_sim::repose::{self as heap, Refusal, Repose};
 use flip_store::jobs::Job;
 use flip_store::ledger::Lease;
 use flip_store::pan::Refused;
@@ -58,23 +61,13 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-/// The heap experiment as called by calibrations: [`heap::repose`] in the product, a formula in
-/// tests.
-pub type Simulate =
-    Arc<dyn Fn(&ParameterSet, &heap::Settings, u64) -> Result<Repose, Refusal> + Send + Sync>;
-
-/// The other experiments, reduced: [`observe::observe`](flip_sim::observe::observe) in the
-/// product.
-pub type Observe =
-    Arc<dyn Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync>;
-
 /// The functions that jobs and weighings compute with.
 #[derive(Clone)]
 pub struct Functions {
     /// The heap experiment.
-    pub simulate: Simulate,
+    pub simulate: HeapRunner,
     /// The other experiments.
-    pub observe: Observe,
+    pub observe: ObservableRunner,
     /// A training.
     pub train: train::Train,
     /// One dose on the simulator, as evaluations weigh it.
@@ -86,8 +79,8 @@ pub struct Functions {
 impl Default for Functions {
     fn default() -> Self {
         Self {
-            simulate: Arc::new(heap::repose),
-            observe: Arc::new(flip_sim::observe::observe),
+            simulate: heaps_on_cores(flip_sim::repose::repose),
+            observe: observables_on_cores(flip_sim::observe::observe),
             train: train::simulated(),
             weigh: Arc::new(evaluate::simulated),
             rig: Arc::new(Simulated),
@@ -273,3 +266,6 @@ impl Shared {
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+#[cfg(test)]
+mod body_tests;

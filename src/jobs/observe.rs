@@ -1,16 +1,17 @@
 //! Measurements other than the angle: their emulators before a calibration, and a check of the sets
 //! after it. Every simulation is saved as it completes.
 
-use super::calibrate::{keep, unless};
-use super::context::{JobContext, JobError};
+use super::Functions;
+use super::calibrate::settled;
+use super::host::{JobError, JobHost, Piece, Result, go_on};
+use super::runner::ObservableExperiment;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_core::stats::summary;
 use flip_learn::calibrate::channel::{self, RUNS};
-use flip_learn::calibrate::{self, Channel, Emulator, Instrument, Probe};
+use flip_learn::calibrate::{Channel, Emulator, Instrument, Probe};
 use flip_sim::observe;
-use flip_sim::repose::Refusal;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -53,22 +54,22 @@ const INSTRUMENT: Instrument = Instrument { numbers: observe::numbers, value: ob
 /// The emulators of all measurements other than the angle, each with the number of its simulations
 /// that were run now.
 pub(super) fn channels(
-    context: &JobContext,
+    host: &dyn JobHost,
+    functions: &Functions,
     observations: &[Observation],
     emulator: &Emulator,
     simulator: &str,
-) -> Result<Vec<(Channel, u32)>, JobError> {
+) -> Result<Vec<(Channel, u32)>> {
     let channel = |observation: &Observation| {
         let experiment = observation.observable.experiment();
         let text = serde_json::to_string(&(simulator, experiment, emulator.hash(), RUNS))
             .expect("numbers and text");
         let owner = format!("ob-{}", &hex::encode(Sha256::digest(text))[..16]);
         let plan = channel::design(emulator, &INSTRUMENT);
-        let what = observation.observable.kind();
-        let (runs, built) =
-            probes(context, &owner, plan, what, simulate(context, observation.observable))?;
+        let (runs, built) = probes(host, functions, &owner, plan, observation.observable)?;
         let channel = Channel::of(*observation, &runs, INSTRUMENT);
         let channel = channel.ok_or_else(|| {
+            let what = observation.observable.kind();
             JobError::Fail(format!("no simulation has a {what}: measure something else"))
         })?;
         Ok((channel, built))
@@ -78,19 +79,18 @@ pub(super) fn channels(
 
 /// Checks the sets that a calibration ended with.
 pub(super) fn look(
-    context: &JobContext,
+    host: &dyn JobHost,
+    functions: &Functions,
     channels: &[Channel],
     built: &[u32],
     sets: &[ParameterSet],
     seed: u64,
-) -> Result<Vec<Observed>, JobError> {
+) -> Result<Vec<Observed>> {
     let look = |(position, (channel, built)): (usize, (&Channel, &u32))| {
         let observation = channel.observation;
-        let owner = format!("{}/{position}", context.id());
+        let owner = format!("{}/{position}", host.id());
         let plan = channel::planned(sets, REPEATS, derive(seed, &[position as u64]));
-        let what = observation.observable.kind();
-        let (runs, _) =
-            probes(context, &owner, plan, what, simulate(context, observation.observable))?;
+        let (runs, _) = probes(host, functions, &owner, plan, observation.observable)?;
         let values = |runs: &[Probe]| -> Vec<f64> {
             let values =
                 runs.iter().filter_map(|run| Some(channel.value(&run.parameters, run.reduced?)));
@@ -117,35 +117,28 @@ pub(super) fn look(
     channels.iter().zip(built).enumerate().map(look).collect()
 }
 
-fn simulate(
-    context: &JobContext,
-    observable: Observable,
-) -> impl Fn(&ParameterSet, u64) -> Result<f64, Refusal> + Sync {
-    move |set, seed| (context.functions.observe)(&observable, set, seed)
-}
-
 /// Carries out a plan, reusing stored runs; returns the runs and how many of them are new.
 fn probes(
-    context: &JobContext,
+    host: &dyn JobHost,
+    functions: &Functions,
     owner: &str,
     plan: Vec<Probe>,
-    what: &str,
-    simulate: impl Fn(&ParameterSet, u64) -> Result<f64, Refusal> + Sync,
-) -> Result<(Vec<Probe>, u32), JobError> {
-    let stored: Vec<Probe> = context.read(context.store.probes(owner))?;
+    observable: Observable,
+) -> Result<(Vec<Probe>, u32)> {
+    let stored = host.probes(owner)?;
+    let simulate = |probes: &[Probe]| {
+        let experiment =
+            |of: &Probe| ObservableExperiment { observable, set: of.parameters, seed: of.seed };
+        let experiments: Vec<_> = probes.iter().map(experiment).collect();
+        let runs = functions.observe.run_all(&experiments).into_iter();
+        runs.map(|run| run.outcome.map_err(|refusal| refusal.to_string())).collect()
+    };
     let mut unsaved = None;
-    let runs = channel::carry_out(plan, &stored, what, simulate, |run, progress| {
-        let saved =
-            keep(context, progress, async |tx| tx.insert_probe(owner, run.index, run).await);
-        unless(saved, &mut unsaved, context)
+    let runs = channel::carry_out(plan, &stored, observable.kind(), simulate, |probe, progress| {
+        let saved = host.save(Piece::Probe { owner, probe }).and_then(|()| host.report(progress));
+        go_on(host, saved, &mut unsaved)
     });
-    match (runs, unsaved) {
-        (_, Some(error)) => Err(error.into()),
-        (Ok(runs), None) => {
-            let new = runs.len() - stored.len().min(runs.len());
-            Ok((runs, new as u32))
-        }
-        (Err(calibrate::Error::Stopped), None) => Err(JobError::Stopped),
-        (Err(error), None) => Err(JobError::Fail(error.to_string())),
-    }
+    let runs = settled(runs, unsaved)?;
+    let new = runs.len() - stored.len().min(runs.len());
+    Ok((runs, new as u32))
 }

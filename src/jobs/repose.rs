@@ -4,22 +4,19 @@
 //! is made again and earlier piles are kept: the platform is turned over the funnel first, so
 //! powder that had already run out runs again.
 
-use super::bench::audit_exchanges;
-use super::context::{JobContext, JobError};
+use super::Functions;
+use super::host::{Finished, JobError, JobHost, Piece, Result, go_on};
+use super::runner::HeapExperiment;
 use super::spec::ReposeSpec;
 use flip_bench::hardware::camera::Upload;
 use flip_bench::pile::{self, Repeats};
 use flip_bench::rig::{PileStand, Piling, Unpiled};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::job::Progress;
-use flip_core::domain::powder::Method;
 use flip_core::domain::seed::derive;
-use flip_sim::repose as heap;
-use flip_store::artifacts::Artifacts;
-use flip_store::audit::About;
+use flip_sim::repose::Settings;
+use flip_store::now;
 use flip_store::piles::{FrameFiles, Pile};
-use flip_store::said::{Row, RowOf};
-use flip_store::{self as store, now};
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
 
@@ -36,14 +33,14 @@ pub struct ReposeResult {
     pub registered: bool,
 }
 
-pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), JobError> {
-    let rig = &context.functions.rig;
+pub(super) fn perform(host: &dyn JobHost, functions: &Functions, spec: &ReposeSpec) -> Result<()> {
+    let rig = &functions.rig;
     let Some(stand) = rig.stand().filter(|_| rig.kind() == spec.bench) else {
         let cause = "this process has another bench than the one it was asked for: start it with that bench, and ask again";
         return Err(JobError::Fail(cause.to_owned()));
     };
     let wanted = spec.procedure.repeats;
-    let mut piles = context.read(context.store.piles(context.id()))?;
+    let mut piles = host.piles()?;
     let measured = loop {
         let measured: Vec<_> = piles.iter().filter_map(|pile| pile.measured).collect();
         if measured.len() as u32 >= wanted {
@@ -52,80 +49,67 @@ pub(super) fn perform(context: &JobContext, spec: &ReposeSpec) -> Result<(), Job
         if piles.len() as u32 >= wanted + SPARE {
             return Err(JobError::Fail(without_angle(&piles)));
         }
-        if let Some(latch) = context.read(context.store.latch())? {
+        if let Some(reason) = host.latch()? {
             let cause = format!(
-                "the bench is latched: {}. Look at it, clear it, and ask for a new measurement",
-                latch.reason
+                "the bench is latched: {reason}. Look at it, clear it, and ask for a new measurement"
             );
             return Err(JobError::Fail(cause));
         }
-        if context.held.load(Ordering::SeqCst) {
+        if host.held().load(Ordering::SeqCst) {
             let cause = "the bench is held after a stop: resume it, and ask for a new measurement";
             return Err(JobError::Fail(cause.to_owned()));
         }
         let number = piles.len() as u32 + 1;
-        let taken = made(context, spec, stand, number, measured.len() as u32);
+        let taken = made(host, functions, spec, stand, number, measured.len() as u32);
         let exchanges = stand.exchanges();
         let pile = match taken {
-            Ok(taken) => Ok(looked_at(spec, number, &taken, context.store.artifacts())?),
+            Ok(taken) => Ok(looked_at(host, spec, number, &taken)?),
             Err(error) => Err(error),
         };
-        context.save(async |tx| {
-            audit_exchanges(tx, None, &exchanges, now()).await?;
-            let Ok(pile) = &pile else { return Ok(false) };
-            let said = serde_json::json!({ "measurement": context.id(), "powder": spec.powder, "pile": pile });
-            tx.audit(About { weighing: None, kind: "pile" }, &said, now()).await?;
-            tx.insert_pile(context.id(), pile).await?;
-            context.tell(tx, "pile", pile).await?;
-            Ok(true)
-        })?;
+        let powder = &spec.powder;
+        host.save(Piece::Pile { powder, exchanges: &exchanges, pile: pile.as_ref().ok() })?;
         piles.push(pile?);
     };
     let repeats = pile::repeats(&measured).map_err(|error| JobError::Fail(error.to_string()))?;
-    let registered = spec.bench == BenchKind::Devices;
-    let source = format!("camera, measurement {}, {} piles", context.id(), piles.len());
-    context.succeed(&ReposeResult { repeats, registered }, async |tx| {
-        if registered {
-            let made = tx
-                .insert_measurement(&spec.powder, Method::Automated, repeats.tip, &source)
-                .await?;
-            tx.audit_rows(vec![Row::of(RowOf::Measurement, &made.id, &made)]).await?;
-        }
-        Ok(())
-    })?;
-    Ok(())
+    let result = ReposeResult { repeats, registered: spec.bench == BenchKind::Devices };
+    let source = format!("camera, measurement {}, {} piles", host.id(), piles.len());
+    host.finish(&Finished::Repose { spec, result: &result, source: &source })
 }
 
 /// One pile and its frames.
 fn made(
-    context: &JobContext,
+    host: &dyn JobHost,
+    functions: &Functions,
     spec: &ReposeSpec,
     stand: &PileStand,
     number: u32,
     done: u32,
-) -> Result<Vec<Upload>, JobError> {
+) -> Result<Vec<Upload>> {
     let seed = derive(u64::from(spec.run), &[u64::from(number)]);
-    let truth =
-        spec.set.map(|set| (context.functions.simulate)(&set, &heap::Settings::default(), seed));
+    let settings = Settings::default();
+    let experiment: Vec<_> =
+        spec.set.iter().map(|set| HeapExperiment { set: *set, settings, seed }).collect();
+    let truth = functions.simulate.run_all(&experiment).into_iter().next();
     let truth = truth
+        .map(|run| run.outcome)
         .transpose()
         .map_err(|error| JobError::Fail(format!("the simulated powder makes no pile: {error}")))?;
     let piling = Piling {
-        job: context.id(),
+        job: host.id(),
         number,
         procedure: &spec.procedure,
         cone_deg: truth.map(|heap| heap.tip_deg),
         seed,
     };
     let mut unsaved = None;
-    let taken = stand.make(&piling, &context.held, &mut |what| {
+    let taken = stand.make(&piling, host.held(), &mut |what| {
         let fraction = f64::from(done) / f64::from(spec.procedure.repeats);
         let progress = Progress { fraction, message: format!("pile {number}: {what}") };
         // The owner of the gate must stay responsive to a stop, whatever holds the database.
-        super::calibrate::unless(context.report_meanwhile(&progress), &mut unsaved, context)
+        go_on(host, host.report_meanwhile(&progress), &mut unsaved)
     });
     match (unsaved, taken) {
-        (Some(error), _) => Err(error.into()),
+        (Some(error), _) => Err(error),
         (None, Ok(taken)) => Ok(taken),
         (None, Err(Unpiled::Stopped)) => Err(JobError::Stopped),
         (None, Err(Unpiled::Failed(cause))) => {
@@ -135,21 +119,16 @@ fn made(
 }
 
 /// Stores the frames, and measures what they show.
-fn looked_at(
-    spec: &ReposeSpec,
-    number: u32,
-    taken: &[Upload],
-    artifacts: &Artifacts,
-) -> store::Result<Pile> {
+fn looked_at(host: &dyn JobHost, spec: &ReposeSpec, number: u32, taken: &[Upload]) -> Result<Pile> {
     let kept = |frame: &Upload| {
         Ok(FrameFiles {
-            depth: artifacts.put(&frame.depth)?,
-            colour: artifacts.put(&frame.colour)?,
-            description: artifacts.put(&frame.description)?,
+            depth: host.put(&frame.depth)?,
+            colour: host.put(&frame.colour)?,
+            description: host.put(&frame.description)?,
         })
     };
-    let files = taken.iter().map(kept).collect::<store::Result<_>>()?;
-    let decoded: Result<Vec<_>, _> = taken.iter().map(Upload::decode).collect();
+    let files = taken.iter().map(kept).collect::<Result<_>>()?;
+    let decoded: std::result::Result<Vec<_>, _> = taken.iter().map(Upload::decode).collect();
     let found = match decoded {
         Ok(frames) => {
             pile::measure(&frames, &spec.rig, &spec.limits).map_err(|refusal| refusal.to_string())

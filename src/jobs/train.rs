@@ -4,14 +4,13 @@
 //! Episodes after the last checkpoint are replayed on resuming, bit for bit the same; those already
 //! stored are left unchanged.
 
-use super::context::{JobContext, JobError};
+use super::Functions;
 use super::evaluate::load_policy;
+use super::host::{Checkpoint, Finished, JobError, JobHost, Piece, Result};
 use super::spec::TrainingSpec;
 use flip_core::domain::job::Progress;
 use flip_learn::train::{EpisodeRecord, Event, Flow, Start, TrainError, Trained};
 use flip_policy::{self as policy, Actor, Controller};
-use flip_store as store;
-use flip_store::trials::Episode;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
@@ -35,7 +34,7 @@ pub type Train = Arc<
             Start<'_>,
             &Flow<'_>,
             &mut Listener<'_>,
-        ) -> Result<Trained, TrainError>
+        ) -> std::result::Result<Trained, TrainError>
         + Send
         + Sync,
 >;
@@ -71,35 +70,29 @@ pub struct TrainingResult {
 }
 
 pub(super) fn perform(
-    context: &JobContext,
+    host: &dyn JobHost,
+    functions: &Functions,
     spec: &TrainingSpec,
-    checkpoint: Option<&str>,
-) -> Result<(), JobError> {
-    let resume = match checkpoint {
-        Some(sha256) => saved(context, sha256)?,
-        None => None,
-    };
+) -> Result<()> {
+    let resume = resumed(host)?;
     let mut recorder =
-        Recorder { context, spec, round: Vec::new(), recent: VecDeque::new(), unsaved: None };
-    let from = resume.is_none().then(|| predecessor(context, spec)).transpose()?.flatten();
+        Recorder { host, spec, round: Vec::new(), recent: VecDeque::new(), unsaved: None };
+    let from = resume.is_none().then(|| predecessor(host, spec)).transpose()?.flatten();
     let start = match (&resume, &from) {
         (Some(bytes), _) => Start::Checkpoint(bytes),
         (None, Some(actor)) => Start::Policy(actor),
         (None, None) => Start::Nothing,
     };
-    let trained = (context.functions.train)(
-        &spec.levels,
-        &spec.settings,
-        start,
-        &|| context.flow(),
-        &mut |event| recorder.hear(event),
-    );
+    let trained =
+        (functions.train)(&spec.levels, &spec.settings, start, &|| host.flow(), &mut |event| {
+            recorder.hear(event)
+        });
     recorder.flush();
     match (trained, recorder.unsaved) {
-        (_, Some(error)) => Err(error.into()),
-        (Ok(trained), None) => finish(context, &trained),
+        (_, Some(error)) => Err(error),
+        (Ok(trained), None) => finish(host, &trained),
         (Err(TrainError::Stopped { checkpoint }), None) => {
-            context.checkpoint(&checkpoint)?;
+            host.save_checkpoint(&checkpoint)?;
             Err(JobError::Stopped)
         }
         (Err(error), None) => Err(JobError::Fail(error.to_string())),
@@ -108,26 +101,23 @@ pub(super) fn perform(
 
 /// Checkpoint of the last attempt; `None` if it is missing or damaged: the training then starts
 /// over, and reports that.
-fn saved(context: &JobContext, sha256: &str) -> Result<Option<Vec<u8>>, JobError> {
-    let lost = match context.store.artifacts().get(sha256) {
-        Ok(bytes) => return Ok(Some(bytes)),
-        Err(error) if error.is_lost_part() => error,
-        Err(error) => return Err(error.into()),
+fn resumed(host: &dyn JobHost) -> Result<Option<Vec<u8>>> {
+    let lost = match host.checkpoint()? {
+        Checkpoint::None => return Ok(None),
+        Checkpoint::Saved(bytes) => return Ok(Some(bytes)),
+        Checkpoint::Lost(cause) => cause,
     };
-    tracing::warn!(job = context.id(), %lost, "the checkpoint is lost: the training begins again");
+    tracing::warn!(job = host.id(), lost, "the checkpoint is lost: the training begins again");
     let why = format!("its checkpoint is lost ({lost}): the training begins again");
-    context.save(async |tx| {
-        context.tell(tx, "checkpoint_lost", &serde_json::json!({ "why": why })).await?;
-        Ok(false)
-    })?;
-    context.report(&Progress { fraction: 0.0, message: why })?;
+    host.save(Piece::CheckpointLost(&why))?;
+    host.report(&Progress { fraction: 0.0, message: why })?;
     Ok(None)
 }
 
 /// The policy that the training continues from.
-fn predecessor(context: &JobContext, spec: &TrainingSpec) -> Result<Option<Actor>, JobError> {
+fn predecessor(host: &dyn JobHost, spec: &TrainingSpec) -> Result<Option<Actor>> {
     let Some(from) = &spec.settings.from else { return Ok(None) };
-    match load_policy(context, &from.policy)?.controller {
+    match load_policy(host, &from.policy)?.controller {
         Controller::Learned(actor) => Ok(Some(actor)),
         _ => Err(JobError::Fail(format!(
             "from: policy `{}` has no network to go on with",
@@ -138,12 +128,12 @@ fn predecessor(context: &JobContext, spec: &TrainingSpec) -> Result<Option<Actor
 
 /// Saves the events of a training.
 struct Recorder<'a> {
-    context: &'a JobContext,
+    host: &'a dyn JobHost,
     spec: &'a TrainingSpec,
     /// Episodes of the current round: they arrive together, and one transaction stores them.
-    round: Vec<Episode>,
+    round: Vec<EpisodeRecord>,
     recent: VecDeque<f64>,
-    unsaved: Option<store::Error>,
+    unsaved: Option<JobError>,
 }
 
 impl Recorder<'_> {
@@ -158,7 +148,7 @@ impl Recorder<'_> {
             }
             Event::Checkpoint(bytes) => {
                 self.flush();
-                let saved = self.context.checkpoint(&bytes);
+                let saved = self.host.save_checkpoint(&bytes);
                 self.note(saved);
             }
         }
@@ -171,7 +161,7 @@ impl Recorder<'_> {
             self.recent.pop_front();
         }
         self.recent.push_back(record.final_error_mg);
-        self.round.push(to_row(record));
+        self.round.push(record.clone());
         let settings = &self.spec.settings;
         self.round.len() >= settings.episodes_per_round as usize
             || record.index + 1 == settings.episodes
@@ -182,17 +172,7 @@ impl Recorder<'_> {
         if episodes.is_empty() || self.unsaved.is_some() {
             return;
         }
-        let context = self.context;
-        let saved = context.save(async |tx| {
-            let mut any_new = false;
-            for episode in &episodes {
-                if tx.insert_episode(context.id(), episode).await? {
-                    context.tell(tx, "episode", episode).await?;
-                    any_new = true;
-                }
-            }
-            Ok(any_new)
-        });
+        let saved = self.host.save(Piece::Episodes(&episodes));
         self.note(saved);
     }
 
@@ -206,51 +186,24 @@ impl Recorder<'_> {
             self.recent.len()
         );
         let progress = Progress { fraction: self.spec.settings.share_done(done), message };
-        let told = self.context.report(&progress);
+        let told = self.host.report(&progress);
         self.note(told);
     }
 
-    fn note(&mut self, saved: store::Result<()>) {
+    fn note(&mut self, saved: Result<()>) {
         if let Err(error) = saved {
             self.unsaved.get_or_insert(error);
         }
     }
 }
 
-fn finish(context: &JobContext, trained: &Trained) -> Result<(), JobError> {
-    let id = policy::id(&trained.artifact);
-    let json =
-        |value| serde_json::to_value(value).map_err(|error| JobError::Fail(error.to_string()));
-    let levels = json(&trained.levels)?;
-    let manifest = serde_json::to_string(&trained.manifest)
-        .map_err(|error| JobError::Fail(error.to_string()))?;
+fn finish(host: &dyn JobHost, trained: &Trained) -> Result<()> {
+    let levels: serde_json::Result<_> = trained.levels.iter().map(serde_json::to_value).collect();
     let result = TrainingResult {
-        policy: id.clone(),
+        policy: policy::id(&trained.artifact),
         episodes: trained.episodes,
         final_error_mg: trained.final_error_mg,
-        levels: levels.as_array().cloned().unwrap_or_default(),
+        levels: levels.map_err(|error| JobError::Fail(error.to_string()))?,
     };
-    context.succeed(&result, async |tx| {
-        let kind = trained.manifest.kind.name();
-        tx.insert_policy(&id, kind, Some(context.id()), &manifest, &trained.artifact).await
-    })?;
-    Ok(())
-}
-
-fn to_row(record: &EpisodeRecord) -> Episode {
-    let losses = record.losses.as_ref();
-    Episode {
-        index: record.index,
-        level: record.level,
-        powder: record.powder.clone(),
-        parameter_set: record.parameter_set.clone(),
-        target_mg: record.target_mg,
-        dispensed_mg: record.dispensed_mg,
-        final_error_mg: record.final_error_mg,
-        reward: record.reward,
-        steps: record.steps,
-        alpha: losses.map(|l| l.alpha),
-        critic_loss: losses.map(|l| l.critic),
-        actor_loss: losses.map(|l| l.actor),
-    }
+    host.finish(&Finished::Training { result: &result, trained })
 }

@@ -1,11 +1,14 @@
 //! From a waiting row to a settled one.
 
-use super::context::{JobContext, JobError};
+use super::host::{JobError, JobHost};
 use super::lanes::Place;
 use super::lease::{Renewer, lease_end};
+use super::leased::LeasedJob;
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
-use super::{Running, Shared, calibrate, evaluate, investigate, priority, repose, train};
+use super::{
+    Functions, Running, Shared, calibrate, evaluate, investigate, priority, repose, train,
+};
 use flip_core::domain::job::JobState;
 use flip_store::ledger::{Claim, Claimed, Lease};
 use flip_store::{self as store, Store, now};
@@ -133,16 +136,15 @@ fn on_compute_thread(
     if shared.gives_way {
         priority::give_way();
     }
-    let context = JobContext::new(
+    let host = LeasedJob::new(
         shared.store.clone(),
-        shared.functions.clone(),
+        &claimed,
         shared.held.clone(),
-        lease.clone(),
         stop.clone(),
         runtime.clone(),
     );
-    let ended =
-        catch_unwind(AssertUnwindSafe(|| perform(&context, &claimed))).unwrap_or_else(|panic| {
+    let ended = catch_unwind(AssertUnwindSafe(|| perform(&host, &shared.functions, &claimed)))
+        .unwrap_or_else(|panic| {
             Err(JobError::Retry(format!("it panicked: {}", panic_message(&*panic))))
         });
     runtime.block_on(settle_surely(shared, &lease, stop, ended));
@@ -151,15 +153,15 @@ fn on_compute_thread(
     shared.wake.notify_one();
 }
 
-fn perform(context: &JobContext, claimed: &Claimed) -> Result<(), JobError> {
+fn perform(host: &dyn JobHost, functions: &Functions, claimed: &Claimed) -> Result<(), JobError> {
     let spec = JobSpec::read(&claimed.spec).map_err(|error| JobError::Fail(error.to_string()))?;
-    tracing::info!(job = context.id(), kind = ?claimed.kind, "computes");
+    tracing::info!(job = host.id(), kind = ?claimed.kind, "computes");
     match spec {
-        JobSpec::Calibration(spec) => calibrate::perform(context, &spec),
-        JobSpec::Training(spec) => train::perform(context, &spec, claimed.checkpoint.as_deref()),
-        JobSpec::Evaluation(spec) => evaluate::perform(context, &spec),
-        JobSpec::Investigation(spec) => investigate::perform(context, &spec),
-        JobSpec::Repose(spec) => repose::perform(context, &spec),
+        JobSpec::Calibration(spec) => calibrate::perform(host, functions, &spec),
+        JobSpec::Training(spec) => train::perform(host, functions, &spec),
+        JobSpec::Evaluation(spec) => evaluate::perform(host, functions, &spec),
+        JobSpec::Investigation(spec) => investigate::perform(host, functions, &spec),
+        JobSpec::Repose(spec) => repose::perform(host, functions, &spec),
     }
 }
 

@@ -1,6 +1,7 @@
 //! A bench and a heap that answer at once, by formula.
 
 use flip::app::Functions;
+use flip::jobs::heaps_on_cores;
 use flip_bench::hardware::DeviceError;
 use flip_bench::rig::{OnEvent, Poured, Pouring, Rig};
 use flip_bench::weigh::{Event, Phase};
@@ -34,7 +35,11 @@ impl Drop for Hold {
 
 impl Bench {
     pub fn functions(&self) -> Functions {
-        Functions { simulate: Arc::new(heap), rig: Arc::new(self.clone()), ..Functions::default() }
+        Functions {
+            simulate: heaps_on_cores(heap),
+            rig: Arc::new(self.clone()),
+            ..Functions::default()
+        }
     }
 
     pub fn pours(&self) -> usize {

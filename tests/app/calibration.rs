@@ -5,6 +5,7 @@ use crate::harness::{
 };
 use flip::app::{App, CalibrationMethod, CalibrationRequest};
 use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
+use flip::jobs::heaps_on_cores;
 use flip_core::domain::observable::{Observable, Observation};
 use futures::StreamExt;
 use std::sync::Arc;
@@ -66,7 +67,7 @@ async fn a_shut_down_calibration_resumes_and_ends_as_if_it_had_never_stopped() {
     let simulated = Arc::new(AtomicUsize::new(0));
     let counted = simulated.clone();
     let slow = Functions {
-        simulate: Arc::new(move |set, settings, seed| {
+        simulate: heaps_on_cores(move |set, settings, seed| {
             counted.fetch_add(1, Ordering::SeqCst);
             std::thread::sleep(Duration::from_millis(20));
             heap(set, settings, seed)
@@ -96,7 +97,7 @@ async fn a_shut_down_calibration_resumes_and_ends_as_if_it_had_never_stopped() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_running_calibration_is_cancelled_between_two_trials_and_a_waiting_one_at_once() {
     let slow = Functions {
-        simulate: Arc::new(|set, settings, seed| {
+        simulate: heaps_on_cores(|set, settings, seed| {
             std::thread::sleep(Duration::from_millis(30));
             heap(set, settings, seed)
         }),
@@ -211,7 +212,7 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
     let simulated = Arc::new(AtomicUsize::new(0));
     let counted = simulated.clone();
     let counting = Functions {
-        simulate: Arc::new(move |set, settings, seed| {
+        simulate: heaps_on_cores(move |set, settings, seed| {
             counted.fetch_add(1, Ordering::SeqCst);
             std::thread::sleep(Duration::from_millis(2));
             heap(set, settings, seed)
@@ -328,7 +329,7 @@ async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_inte
 fn gated(gate: &Arc<AtomicBool>) -> Functions {
     let gate = gate.clone();
     Functions {
-        simulate: Arc::new(move |set, settings, seed| {
+        simulate: heaps_on_cores(move |set, settings, seed| {
             while !gate.load(Ordering::SeqCst) {
                 std::thread::sleep(Duration::from_millis(5));
             }

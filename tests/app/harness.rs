@@ -5,6 +5,7 @@ use flip::app::{
     Tolerance, Topic, TrainingRequest, WeighingRequest,
 };
 use flip::jobs::train::Train;
+use flip::jobs::{heaps_on_cores, observables_on_cores};
 use flip_bench::hardware::DeviceError;
 use flip_bench::rig::{OnEvent, Poured, Pouring, Rig, Simulation, Task};
 use flip_bench::weigh::{Event, Phase};
@@ -151,8 +152,8 @@ pub fn weigh(task: &Task, _: &Simulation) -> Result<Dose, String> {
 /// The formulas.
 pub fn functions() -> Functions {
     Functions {
-        simulate: Arc::new(heap),
-        observe: Arc::new(observe),
+        simulate: heaps_on_cores(heap),
+        observe: observables_on_cores(observe),
         train: train(),
         weigh: Arc::new(weigh),
         rig: ToyRig::of(BenchKind::Simulated, pour),

@@ -2,6 +2,7 @@
 
 use crate::harness::{calibration_of, ended, functions, heap, open, until};
 use flip::app::{Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
+use flip::jobs::heaps_on_cores;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 use std::sync::Arc;
@@ -13,7 +14,7 @@ async fn a_job_that_panics_fails_for_good_after_exactly_three_attempts() {
     let begun = Arc::new(AtomicUsize::new(0));
     let counted = begun.clone();
     let poison = Functions {
-        simulate: Arc::new(move |_, _, _| {
+        simulate: heaps_on_cores(move |_, _, _| {
             counted.fetch_add(1, Ordering::SeqCst);
             panic!("poison");
         }),
@@ -31,7 +32,7 @@ async fn a_job_that_panics_fails_for_good_after_exactly_three_attempts() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_that_somebody_locks_for_a_while_costs_time_and_nothing_else() {
     let slow = Functions {
-        simulate: Arc::new(|set, settings, seed| {
+        simulate: heaps_on_cores(|set, settings, seed| {
             std::thread::sleep(Duration::from_millis(20));
             heap(set, settings, seed)
         }),
@@ -60,7 +61,7 @@ async fn a_job_that_saves_something_in_each_attempt_is_not_given_up() {
     let calls = Arc::new(AtomicUsize::new(0));
     let counted = calls.clone();
     let frail = Functions {
-        simulate: Arc::new(move |set, settings, seed| {
+        simulate: heaps_on_cores(move |set, settings, seed| {
             let call = counted.fetch_add(1, Ordering::SeqCst);
             assert!(call % 9 != 8, "frail");
             heap(set, settings, seed)

@@ -8,6 +8,7 @@ use flip::app::{
     App, CalibrationRequest, Error, EvaluationRequest, Functions, InvestigationRequest, Job,
     JobState, Report, TrainingRequest, WeighingRequest,
 };
+use flip::jobs::heaps_on_cores;
 use flip_bench::rig::{OnEvent, Pouring, Simulation, Task};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::conditions::{Condition, Conditions};
@@ -47,7 +48,7 @@ fn wet(seen: &Arc<Seen>) -> Functions {
         weigh(task, simulation)
     };
     let rig = ToyRig::of(BenchKind::Simulated, pour);
-    Functions { simulate: Arc::new(simulate), weigh: Arc::new(weigh), rig, ..functions() }
+    Functions { simulate: heaps_on_cores(simulate), weigh: Arc::new(weigh), rig, ..functions() }
 }
 
 fn campaign(budget_runs: u32) -> InvestigationRequest {

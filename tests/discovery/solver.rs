@@ -14,6 +14,7 @@
 use crate::judge::kept;
 use crate::rates::line;
 use flip::app::{App, Functions, InvestigationRequest, JobState, Options, Topic, report_html};
+use flip::jobs::heaps_on_cores;
 use flip_sim::repose::{Compat, Settings, repose};
 use futures::StreamExt;
 use rand::{RngExt, SeedableRng};
@@ -21,7 +22,6 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::Path;
-use std::sync::Arc;
 
 /// The planted defect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -100,7 +100,9 @@ pub fn criticised(folder: &Path, wanted: &[(Defect, u64)]) -> Vec<Criticised> {
 async fn criticise(planted: Defect, seed: u64) -> Criticised {
     let folder = tempfile::tempdir().unwrap();
     let functions = Functions {
-        simulate: Arc::new(move |set, asked, seed| repose(set, &planted.planted(asked), seed)),
+        simulate: heaps_on_cores(move |set, asked, seed| {
+            repose(set, &planted.planted(asked), seed)
+        }),
         ..Functions::default()
     };
     let app = App::open(folder.path(), Options { functions, ..Options::default() }).await.unwrap();

@@ -4,7 +4,7 @@ use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_learn::calibrate::{Design, Heap, Pour, build};
 use flip_sim as sim;
-use flip_sim::repose::{Refusal, Settings, repose};
+use flip_sim::repose::{Settings, repose};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 
@@ -12,13 +12,10 @@ const PARTICLES: u32 = 800;
 const READINGS: u32 = 4;
 const HELD_OUT: u64 = 60;
 
-fn heap(
-    set: &ParameterSet,
-    Pour { particles, readings }: Pour,
-    seed: u64,
-) -> Result<Heap, Refusal> {
-    let settings = Settings { readings, ..Settings::with_particles(particles) };
-    let pile = repose(set, &settings, seed)?;
+fn heap(pour: &Pour) -> Result<Heap, String> {
+    let settings = Settings { readings: pour.readings, ..Settings::with_particles(pour.particles) };
+    let pile =
+        repose(&pour.parameters, &settings, pour.seed).map_err(|refusal| refusal.to_string())?;
     Ok(Heap {
         tip_deg: pile.tip_deg,
         tip_sd_deg: pile.tip_sd_deg,
@@ -37,8 +34,9 @@ fn held_out(k: u64) -> ParameterSet {
 fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
     // Less than half of the product's heaps: its uncertainties have to be right at any size.
     let design = Design { runs: 100, initial: 64, round: 18, ..Design::with_particles(PARTICLES) };
+    let heaps = |pours: &[Pour]| pours.par_iter().map(heap).collect();
     let emulator =
-        build(&design, sim::directions, &[], heap, |_, _| ControlFlow::Continue(())).unwrap();
+        build(&design, sim::directions, &[], heaps, |_, _| ControlFlow::Continue(())).unwrap();
     let scores: Vec<f64> = (0..HELD_OUT)
         .into_par_iter()
         .filter_map(|k| {
@@ -48,10 +46,8 @@ fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
             if !(22.0..52.0).contains(&expected.mean.mean) {
                 return None;
             }
-            let tip_deg =
-                heap(&set, Pour { particles: PARTICLES, readings: READINGS }, derive(98, &[k]))
-                    .ok()?
-                    .tip_deg;
+            let (particles, readings, seed) = (PARTICLES, READINGS, derive(98, &[k]));
+            let tip_deg = heap(&Pour { parameters: set, particles, readings, seed }).ok()?.tip_deg;
             // The mean of four readings of a heap, which have 0.09 of their variance in common.
             let noise = expected.seed_sd_deg * (1.0 / f64::from(READINGS) + 0.09).sqrt();
             Some((tip_deg - expected.mean.mean) / expected.mean.sd.hypot(noise))

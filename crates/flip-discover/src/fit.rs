@@ -16,7 +16,6 @@ use super::report::ParameterReport;
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::seed::derive;
 use flip_core::stats::summary::mean;
-use rayon::prelude::*;
 
 /// Most powders that are simulated.
 const POWDERS: usize = 3;
@@ -35,18 +34,29 @@ const DEVIATE: f64 = 1.96;
 const SEARCH: u64 = 1;
 const VERIFICATION: u64 = 2;
 
+/// A heap to simulate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitHeap {
+    /// Index of its powder among the sets.
+    pub set: usize,
+    /// What the extension changes about it.
+    pub patch: Patch,
+    /// Seed.
+    pub seed: u64,
+}
+
 /// Finds an extension's amplitude and verifies it, in at most `budget` heaps. Returns `None` if the
 /// budget is too small for one heap of each kind, no set stands for a responding powder, the
 /// extension affects readings, or heaps have no angles.
 ///
-/// `pour` takes the index of a set in `sets`, the changes to it, and a seed, and returns the angle,
-/// degrees. It is called from several threads and must be pure.
+/// `pour` returns the angles of a batch of heaps in the same order, degrees; `None` where a heap
+/// has none. It must be pure.
 pub fn fit(
     extension: &Extension,
     sets: &[FitSet],
     budget: u32,
     seed: u64,
-    pour: impl Fn(usize, &Patch, u64) -> Option<f64> + Sync,
+    pour: impl Fn(&[FitHeap]) -> Vec<Option<f64>>,
 ) -> Option<(ParameterReport, Fit)> {
     if extension.hook == Hook::Reading {
         return None;
@@ -65,12 +75,14 @@ pub fn fit(
     let heaps = |amplitude: f64, stage: u64| -> Option<Vec<Vec<f64>>> {
         let of: Vec<(usize, usize)> =
             (0..stands.len()).flat_map(|k| (0..repeats).map(move |r| (k, r))).collect();
-        let angle = |&(k, r): &(usize, usize)| {
+        let heap = |&(k, r): &(usize, usize)| {
             let (set, on) = stands[k];
             let patch = extension.patch(amplitude * on.factor);
-            Some((k, pour(set, &patch, derive(seed, &[stage, k as u64, r as u64]))?))
+            FitHeap { set, patch, seed: derive(seed, &[stage, k as u64, r as u64]) }
         };
-        let angles: Vec<(usize, f64)> = of.par_iter().filter_map(angle).collect();
+        let angles = pour(&of.iter().map(heap).collect::<Vec<_>>());
+        let angles = of.iter().zip(angles).filter_map(|(&(k, _), angle)| Some((k, angle?)));
+        let angles: Vec<(usize, f64)> = angles.collect();
         let by_powder = (0..stands.len())
             .map(|k| angles.iter().filter(|it| it.0 == k).map(|it| it.1).collect());
         let by_powder: Vec<Vec<f64>> = by_powder.collect();
@@ -146,7 +158,7 @@ mod tests {
     use super::*;
     use crate::extension::Form;
     use flip_core::stats::normal;
-    use std::sync::atomic::{AtomicU32, Ordering};
+    use std::cell::Cell;
 
     fn extension(effect_deg: f64) -> Extension {
         let on = |powder: &str, share: f64, factor: f64| OnPowder {
@@ -183,20 +195,21 @@ mod tests {
     }
 
     /// 20 deg per unit amplitude, heaps that scatter by 0.5 deg.
-    fn heap(slope: f64) -> impl Fn(usize, &Patch, u64) -> Option<f64> + Sync {
-        move |set, patch, seed| {
+    fn heaps(slope: f64) -> impl Fn(&[FitHeap]) -> Vec<Option<f64>> {
+        let heap = move |FitHeap { set, patch, seed }: &FitHeap| {
             let noise = 0.5 * normal::quantile((seed % 9973) as f64 / 9973.0 * 0.98 + 0.01);
             let amplitude = patch.amplitudes.get("humidity").copied().unwrap_or(0.0);
-            Some(30.0 + set as f64 + slope * amplitude + noise)
-        }
+            Some(30.0 + *set as f64 + slope * amplitude + noise)
+        };
+        move |all| all.iter().map(heap).collect()
     }
 
     #[test]
     fn the_amplitude_is_the_one_whose_heaps_move_as_far_and_fresh_heaps_agree() {
-        let count = AtomicU32::new(0);
-        let counted = |set: usize, patch: &Patch, seed: u64| {
-            count.fetch_add(1, Ordering::SeqCst);
-            heap(20.0)(set, patch, seed)
+        let count = Cell::new(0);
+        let counted = |all: &[FitHeap]| {
+            count.set(count.get() + all.len() as u32);
+            heaps(20.0)(all)
         };
         let (amplitude, fit) = super::fit(&extension(3.0), &sets(), 55, 1, counted).unwrap();
         // 3 deg at 20 deg per unit amplitude, via a first guess of 0.1 that moves by 2 deg.
@@ -218,7 +231,7 @@ mod tests {
     fn heaps_that_do_not_move_or_the_other_way_verify_nothing() {
         for slope in [0.0, -20.0] {
             let (amplitude, fit) =
-                super::fit(&extension(3.0), &sets(), 60, 1, heap(slope)).unwrap();
+                super::fit(&extension(3.0), &sets(), 60, 1, heaps(slope)).unwrap();
             assert!(!fit.verified, "{slope}: {fit:?}");
             assert!(
                 amplitude.value.is_finite() && amplitude.ci95.iter().all(|end| end.is_finite()),
@@ -230,17 +243,17 @@ mod tests {
     #[test]
     fn the_budget_is_never_passed_and_the_same_seed_finds_the_same() {
         for budget in 0..40 {
-            match super::fit(&extension(3.0), &sets(), budget, 1, heap(20.0)) {
+            match super::fit(&extension(3.0), &sets(), budget, 1, heaps(20.0)) {
                 Some((_, fit)) => {
                     assert!(fit.runs <= budget && budget >= 5, "{budget}: {}", fit.runs)
                 }
                 None => assert!(budget < 5, "{budget}"),
             }
         }
-        let found = |seed| super::fit(&extension(3.0), &sets(), 30, seed, heap(20.0));
+        let found = |seed| super::fit(&extension(3.0), &sets(), 30, seed, heaps(20.0));
         assert_eq!(found(1), found(1));
         assert_ne!(found(1), found(2));
-        assert!(super::fit(&extension(3.0), &sets()[..1], 60, 1, heap(20.0)).is_none());
-        assert!(super::fit(&extension(3.0), &sets(), 60, 1, |_, _, _| None).is_none());
+        assert!(super::fit(&extension(3.0), &sets()[..1], 60, 1, heaps(20.0)).is_none());
+        assert!(super::fit(&extension(3.0), &sets(), 60, 1, |all| vec![None; all.len()]).is_none());
     }
 }

@@ -80,7 +80,7 @@ pub use channels::investigate;
 pub use claim::is_told;
 pub use extend::extend;
 pub use extension::{Extended, FitSet};
-pub use fit::fit;
+pub use fit::{FitHeap, fit};
 pub use hypothesis::{Cause, Responses, Untestable};
 pub use investigate::predict;
 pub use posterior::Predicted;

@@ -23,7 +23,6 @@ use super::names;
 use super::report::{CauseReport, Numerics, ParameterReport, Report, Verdict};
 use flip_core::domain::seed::derive;
 use flip_core::stats::normal;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
@@ -67,16 +66,29 @@ pub struct Dependence {
     pub runs: u32,
 }
 
+/// A heap to simulate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VariedHeap {
+    /// Index of its powder.
+    pub powder: usize,
+    /// The varied setting.
+    pub varied: Varied,
+    /// Its value over the usual one.
+    pub factor: f64,
+    /// Seed.
+    pub seed: u64,
+}
+
 /// Pours heaps of `powders` sets with `repeats` seeds for every factor, and returns how the angle
 /// depends on each setting.
 ///
-/// `pour` takes the powder, the setting varied, the factor, and a seed, and returns the angle,
-/// degrees; `None` where the heap has none. It is called from several threads and must be pure.
+/// `pour` returns the angles of a batch of heaps in the same order, degrees; `None` where a heap
+/// has none. It must be pure.
 pub fn criticise(
     powders: usize,
     repeats: u32,
     seed: u64,
-    pour: impl Fn(usize, Varied, f64, u64) -> Option<f64> + Sync,
+    pour: impl Fn(&[VariedHeap]) -> Vec<Option<f64>>,
 ) -> Vec<Dependence> {
     let of = |&(varied, factors): &(Varied, &[f64])| {
         let heaps: Vec<(usize, f64, u64)> = (0..powders)
@@ -87,8 +99,14 @@ pub fn criticise(
             })
             .collect();
         // The same seed at every factor: the computation is the only difference.
-        let angle = |&(powder, factor, k): &(usize, f64, u64)| {
-            let angle = pour(powder, varied, factor, derive(seed, &[powder as u64, k]))?;
+        let heap = |&(powder, factor, k): &(usize, f64, u64)| VariedHeap {
+            powder,
+            varied,
+            factor,
+            seed: derive(seed, &[powder as u64, k]),
+        };
+        let angles = pour(&heaps.iter().map(heap).collect::<Vec<_>>());
+        let point = |(&(powder, factor, k), angle): (&(usize, f64, u64), Option<f64>)| {
             let base = if varied == Varied::SettlingTime { 10.0 } else { 2.0 };
             // With another substep or other grains the same seed makes a different heap.
             let alike = if varied == Varied::SettlingTime {
@@ -96,9 +114,9 @@ pub fn criticise(
             } else {
                 powder
             };
-            Some((alike, factor.log(base), angle))
+            Some((alike, factor.log(base), angle?))
         };
-        let points: Vec<(usize, f64, f64)> = heaps.par_iter().filter_map(angle).collect();
+        let points: Vec<(usize, f64, f64)> = heaps.iter().zip(angles).filter_map(point).collect();
         let (slope_deg, ci99) = slope(&points);
         let bound = if varied == Varied::SettlingTime { CREEP_DEG } else { STEP_DEG };
         let is_defect = slope_deg.abs() > bound && ci99[0] * ci99[1] > 0.0;
@@ -188,19 +206,25 @@ mod tests {
         35.0 + normal::quantile((seed % 9973) as f64 / 9973.0 * 0.98 + 0.01)
     }
 
+    fn each(
+        one: impl Fn(&VariedHeap) -> Option<f64>,
+    ) -> impl Fn(&[VariedHeap]) -> Vec<Option<f64>> {
+        move |all| all.iter().map(&one).collect()
+    }
+
     fn of(found: &[Dependence], varied: Varied) -> &Dependence {
         found.iter().find(|it| it.varied == varied).unwrap()
     }
 
     #[test]
     fn heaps_that_creep_are_told_from_heaps_that_rest() {
-        let rests = criticise(3, 4, 1, |powder, _, _, seed| Some(heap(seed) + powder as f64));
+        let rests = criticise(3, 4, 1, each(|it| Some(heap(it.seed) + it.powder as f64)));
         assert!(rests.iter().all(|it| !it.is_defect && it.slope_deg.abs() < 1e-9), "{rests:?}");
-        let creeps = |powder: usize, varied: Varied, factor: f64, seed: u64| {
+        let creeps = |&VariedHeap { powder, varied, factor, seed }: &VariedHeap| {
             let crept = if varied == Varied::SettlingTime { -0.8 * factor.log10() } else { 0.0 };
             Some(heap(seed) + powder as f64 + crept)
         };
-        let found = criticise(3, 4, 1, creeps);
+        let found = criticise(3, 4, 1, each(creeps));
         let time = of(&found, Varied::SettlingTime);
         assert!(time.is_defect && (time.slope_deg + 0.8).abs() < 1e-9, "{time:?}");
         assert!(!of(&found, Varied::Substep).is_defect && !of(&found, Varied::Particles).is_defect);
@@ -209,7 +233,7 @@ mod tests {
     #[test]
     fn heaps_that_differ_much_and_creep_little_are_told_by_their_own_course() {
         // Seeds differ by a degree and each creeps by 0.3 deg a decade, give or take 0.05.
-        let creeps = |_: usize, varied: Varied, factor: f64, seed: u64| {
+        let creeps = |&VariedHeap { varied, factor, seed, .. }: &VariedHeap| {
             let own = if varied == Varied::SettlingTime {
                 0.05 * heap(seed ^ factor.to_bits())
             } else {
@@ -217,7 +241,7 @@ mod tests {
             };
             Some(heap(seed) + own - 0.3 * factor.log10())
         };
-        let found = criticise(1, 3, 1, creeps);
+        let found = criticise(1, 3, 1, each(creeps));
         assert!(of(&found, Varied::SettlingTime).is_defect, "{found:?}");
     }
 
@@ -235,11 +259,12 @@ mod tests {
 
     #[test]
     fn heaps_that_fail_leave_the_rest() {
-        let found = criticise(1, 4, 1, |_, varied, factor, seed| {
+        let fails = |&VariedHeap { varied, factor, seed, .. }: &VariedHeap| {
             (varied != Varied::Particles || factor < 2.0).then(|| heap(seed) - 2.0 * factor.log2())
-        });
+        };
+        let found = criticise(1, 4, 1, each(fails));
         assert!(of(&found, Varied::Particles).is_defect);
-        let none = criticise(1, 2, 1, |_, _, _, _| None);
+        let none = criticise(1, 2, 1, each(|_| None));
         assert!(none.iter().all(|it| !it.is_defect));
     }
 }

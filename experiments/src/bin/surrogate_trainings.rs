@@ -24,7 +24,7 @@ use flip_core::domain::seed::derive;
 use flip_core::stats::summary::{mean, sd};
 use flip_experiments::calibrated::Calibrated;
 use flip_learn::train::environment::{Filling, Spoon, play};
-use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
+use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, Weighing, evaluate};
 use flip_learn::train::{
     Event, Level, Network, Order, Preset, Replayed, Settings, Start, Surrogate, train_on,
 };
@@ -229,20 +229,15 @@ fn weigh(
         let powder = powders.iter().find(|powder| powder.subject.sets.contains(set));
         powder.map_or(0.0, |powder| powder.repose_deg)
     };
-    evaluate(&plan, |controller, _, set, target_mg, seed| {
-        let weigher = match controller {
-            Controller::Learned(actor) if drawn => Weigher::Drawn(actor),
-            _ => Weigher::Centre(controller),
-        };
-        anyhow::Ok(dose(
-            &weigher,
-            settings,
-            &mut filling.fill(set, seed),
-            repose_deg(set),
-            target_mg,
-            seed,
-        ))
-    })
+    let weigher = match controller {
+        Controller::Learned(actor) if drawn => Weigher::Drawn(actor),
+        _ => Weigher::Centre(controller),
+    };
+    let once = |&Weighing { set, target_mg, seed, .. }: &Weighing<'_>| {
+        let spoon = &mut filling.fill(set, seed);
+        dose(&weigher, settings, spoon, repose_deg(set), target_mg, seed)
+    };
+    evaluate(&plan, |weighings| Ok(weighings.par_iter().map(once).collect()))
 }
 
 /// Trains with these settings, and weighs.

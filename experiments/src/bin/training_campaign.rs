@@ -16,13 +16,13 @@
 
 use flip_bench::rig::{Poured, Simulation, Task, simulate};
 use flip_bench::weigh::{Accuracy, Order};
-use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::weighing::Outcome;
-use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, evaluate};
+use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, Weighing, evaluate};
 use flip_learn::train::{Event, Level, Preset, Settings, Start, TrainError, train};
 use flip_policy::{
     self as policy, Controller, Dispenser, Fuzzy, Paced, Response, Rules, ScheduledStep,
 };
+use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -233,22 +233,22 @@ fn main() -> anyhow::Result<()> {
         seed: overrides.get("evaluation_seed").and_then(Value::as_u64).unwrap_or(777),
     };
     let trace = flag("trace");
-    let once = |controller: &Controller, _: &Subject, set: &ParameterSet, target_mg, seed| {
+    let once = |of: &Weighing<'_>| {
         let order = Order {
-            target_mg,
+            target_mg: of.target_mg,
             tolerance_lower_mg: 0.0,
             tolerance_upper_mg: 0.0,
             readability_mg: settings.balance.readability_mg,
         };
-        let (accuracy, controller) = (Accuracy::default(), controller.clone());
-        let (set, spoon, balance) = (*set, settings.spoon, settings.balance);
+        let (accuracy, controller) = (Accuracy::default(), of.contender.controller.clone());
+        let (set, spoon, balance, seed) = (*of.set, settings.spoon, settings.balance, of.seed);
         weigh(
             &Task { order, accuracy, controller, rules },
             &Simulation { set, spoon, balance, seed },
             trace,
         )
     };
-    let evaluation = evaluate(&plan, once)?;
+    let evaluation = evaluate(&plan, |weighings| weighings.par_iter().map(once).collect())?;
     tell(&evaluation);
     let timing = json!({ "train_s": train_s, "all_s": started.elapsed().as_secs_f64() });
     let result = json!({ "settings": settings, "rows": evaluation.rows, "summary": evaluation.summary, "timing": timing });

@@ -8,7 +8,7 @@
 use super::emulator::{ASKED, Emulator};
 use super::space;
 use super::trial::micro;
-use super::{CHUNK, Error};
+use super::{CHUNK, Error, in_full};
 use flip_core::domain::job::Progress;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
@@ -21,7 +21,6 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::fmt::Display;
 use std::ops::ControlFlow;
 
 /// Number of inputs an observable depends on.
@@ -56,6 +55,20 @@ pub struct Probe {
     /// Why it was refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refusal: Option<String>,
+}
+
+impl Probe {
+    /// This simulation with its result. One that is not a number counts as refused.
+    fn concluded(self, reduced: Result<f64, String>) -> Self {
+        match reduced {
+            Ok(reduced) if reduced.is_finite() => Self { reduced: Some(micro(reduced)), ..self },
+            Ok(_) => {
+                let refusal = "the simulated observable is not a number".to_owned();
+                Self { refusal: Some(refusal), ..self }
+            }
+            Err(reason) => Self { refusal: Some(reason), ..self },
+        }
+    }
 }
 
 /// A measured observable and the emulator of it.
@@ -122,16 +135,19 @@ pub fn planned(sets: &[ParameterSet], repeats: u32, seed: u64) -> Vec<Probe> {
 
 /// Carries out the planned runs not yet in `history`, which holds the first of them.
 ///
-/// `simulate` is called from several threads and must be pure; `on_run` is called with every new
-/// run in order, and `Break` stops.
+/// `simulate` returns the reduced numbers of a batch, in order, or why one has none, and must be
+/// pure; `on_run` is called with every new run in order, and `Break` stops.
 ///
 /// # Errors
 /// [`Error::Stopped`]; [`Error::History`] if the history does not match the plan.
-pub fn carry_out<E: Display + Send>(
+///
+/// # Panics
+/// `simulate` returns more or fewer outcomes than there are runs.
+pub fn carry_out(
     plan: Vec<Probe>,
     history: &[Probe],
     what: &str,
-    simulate: impl Fn(&ParameterSet, u64) -> Result<f64, E> + Sync,
+    simulate: impl Fn(&[Probe]) -> Vec<Result<f64, String>>,
     mut on_run: impl FnMut(&Probe, &Progress) -> ControlFlow<()>,
 ) -> Result<Vec<Probe>, Error> {
     for (planned, known) in plan.iter().zip(history) {
@@ -144,18 +160,8 @@ pub fn carry_out<E: Display + Send>(
     let all = plan.len();
     let mut runs = history[..history.len().min(all)].to_vec();
     for batch in plan[runs.len()..].chunks(CHUNK) {
-        let run = |probe: &Probe| match simulate(&probe.parameters, probe.seed) {
-            Ok(reduced) if reduced.is_finite() => {
-                Probe { reduced: Some(micro(reduced)), ..probe.clone() }
-            }
-            Ok(_) => Probe {
-                refusal: Some("the simulated observable is not a number".to_owned()),
-                ..probe.clone()
-            },
-            Err(reason) => Probe { refusal: Some(reason.to_string()), ..probe.clone() },
-        };
-        for run in batch.par_iter().map(run).collect::<Vec<_>>() {
-            runs.push(run);
+        for (probe, reduced) in batch.iter().zip(in_full(batch, simulate(batch))) {
+            runs.push(probe.clone().concluded(reduced));
             let progress = Progress {
                 fraction: runs.len() as f64 / all as f64,
                 message: format!("{what}, simulation {} of {all}", runs.len()),

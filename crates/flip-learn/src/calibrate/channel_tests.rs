@@ -4,8 +4,10 @@
 use super::channel::{NUMBERS, RUNS, carry_out, design, planned};
 use super::emulator_tests::{clean_deg, emulator, formula, normal, settings};
 use super::posterior::Posterior;
+use super::tests::each;
 use super::*;
 use flip_core::domain::observable::{Observable, Observation};
+use flip_core::domain::parameters::ParameterSet;
 use flip_core::stats::latin_hypercube::latin_hypercube;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -35,8 +37,8 @@ fn reduced(set: &ParameterSet) -> f64 {
     1.0 + unit[0] - 0.8 * unit[4] + 0.3 * unit[7]
 }
 
-fn noisy(set: &ParameterSet, seed: u64) -> Result<f64, String> {
-    Ok(reduced(set) + 0.02 * normal(seed, 0))
+fn noisy(probe: &Probe) -> Result<f64, String> {
+    Ok(reduced(&probe.parameters) + 0.02 * normal(probe.seed, 0))
 }
 
 fn hear(_: &Probe, _: &Progress) -> ControlFlow<()> {
@@ -44,7 +46,7 @@ fn hear(_: &Probe, _: &Progress) -> ControlFlow<()> {
 }
 
 fn channel(emulator: &Emulator, observable: Observable, truth: &ParameterSet) -> Channel {
-    let runs = carry_out(design(emulator, &INSTRUMENT), &[], "", noisy, hear).unwrap();
+    let runs = carry_out(design(emulator, &INSTRUMENT), &[], "", each(noisy), hear).unwrap();
     let mean = value(&observable, truth, reduced(truth));
     Channel::of(Observation { observable, mean, sd: 0.03 * mean, n: 5 }, &runs, INSTRUMENT).unwrap()
 }
@@ -149,20 +151,20 @@ fn sets_meet_the_angle_and_the_observation_together() {
 #[test]
 fn runs_go_on_where_they_were_stopped_and_none_is_simulated_twice() {
     let plan = planned(&[ParameterSet::default(), powder()], 20, 7);
-    let whole = carry_out(plan.clone(), &[], "", noisy, hear).unwrap();
+    let whole = carry_out(plan.clone(), &[], "", each(noisy), hear).unwrap();
     let calls = AtomicU32::new(0);
-    let counted = |set: &ParameterSet, seed: u64| {
+    let counted = each(|probe: &Probe| {
         calls.fetch_add(1, Ordering::Relaxed);
-        noisy(set, seed)
-    };
+        noisy(probe)
+    });
     assert_eq!(carry_out(plan.clone(), &whole[..13], "", counted, hear).unwrap(), whole);
     assert_eq!(calls.load(Ordering::Relaxed), 27);
     let mut heard = 0;
-    let stopped = carry_out(plan.clone(), &[], "", noisy, |_, _| {
+    let stopped = carry_out(plan.clone(), &[], "", each(noisy), |_, _| {
         heard += 1;
         if heard < 5 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     });
     assert_eq!((stopped, heard), (Err(Error::Stopped), 5));
     let others = planned(&[powder()], 20, 7);
-    assert_eq!(carry_out(others, &whole, "", noisy, hear), Err(Error::History { index: 0 }));
+    assert_eq!(carry_out(others, &whole, "", each(noisy), hear), Err(Error::History { index: 0 }));
 }

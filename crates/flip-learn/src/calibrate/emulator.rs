@@ -19,8 +19,8 @@
 //! resumes and ends with the same bytes.
 
 use super::space::{self, Point};
-use super::trial::{Outcome, Planned, Pour, Trial};
-use super::{Error, Heap};
+use super::trial::{Heap, Outcome, Planned, Pour, Trial};
+use super::{CHUNK, Error, in_full};
 use flip_core::domain::job::Progress;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
@@ -33,7 +33,6 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use statrs::function::gamma::digamma;
-use std::fmt::Display;
 use std::ops::ControlFlow;
 
 /// Number of inputs a heap depends on.
@@ -93,32 +92,29 @@ const COMMON: f64 = 0.09;
 /// | argument | meaning |
 /// |----------|---------|
 /// | `history` | heaps of an interrupted build of the same design, in order; replayed, never simulated again |
-/// | `simulate` | from parameters, grains and readings, and seed to a heap, or to the reason for having none; called from several threads, must be pure |
+/// | `simulate` | a batch of heaps, in order, or the reason why one has none; must be pure |
 /// | `on_run` | called with every new heap (not the replayed ones) in order of its index; `Break` stops |
 ///
 /// # Errors
 /// [`Error`]
-pub fn build<E: Display + Send>(
+///
+/// # Panics
+/// `simulate` returns more or fewer outcomes than there are heaps.
+pub fn build(
     design: &Design,
     directions: Directions,
     history: &[Trial],
-    simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, E> + Sync,
+    simulate: impl Fn(&[Pour]) -> Vec<Result<Heap, String>>,
     mut on_run: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
 ) -> Result<Emulator, Error> {
     let mut runs: Vec<Trial> = Vec::new();
     while runs.len() < design.runs as usize {
         let round = plan(design, directions, &runs);
         let known = super::replay(&round, &mut runs, history, None)?;
-        for batch in round[known..].chunks(super::CHUNK) {
-            let heap = |p: &Planned| {
-                let pour = Pour { particles: design.particles, readings: p.readings };
-                Outcome::of(
-                    simulate(&p.parameters, pour, p.seed).map_err(|error| error.to_string()),
-                )
-            };
-            let outcomes: Vec<Outcome> = batch.par_iter().map(heap).collect();
-            for (planned, outcome) in batch.iter().zip(outcomes) {
-                let run = planned.clone().concluded(runs.len() as u32, outcome, None);
+        for batch in round[known..].chunks(CHUNK) {
+            let pours: Vec<Pour> = batch.iter().map(|p| p.pour(design.particles)).collect();
+            for (planned, heap) in batch.iter().zip(in_full(&pours, simulate(&pours))) {
+                let run = planned.clone().concluded(runs.len() as u32, Outcome::of(heap), None);
                 runs.push(run.clone());
                 let fraction = runs.len() as f64 / f64::from(design.runs);
                 let message = format!("emulator, heap {} of {}", runs.len(), design.runs);

@@ -3,8 +3,9 @@
 
 use super::emulator::{DIRECTIONS, Design, Emulator, build};
 use super::posterior::{Posterior, Prior};
+use super::tests::each;
 use super::*;
-use flip_core::domain::parameters::{COUNT, PARAMETERS};
+use flip_core::domain::parameters::{COUNT, PARAMETERS, ParameterSet};
 use flip_core::domain::powder::PUBLISHED;
 use flip_core::stats::latin_hypercube::{distance, latin_hypercube};
 use flip_core::stats::normal::quantile;
@@ -40,12 +41,13 @@ pub(super) fn normal(seed: u64, k: u64) -> f64 {
     quantile(((derive(seed, &[k]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64)
 }
 
-/// A heap read this many times, including the variance its readings share.
-pub(super) fn formula(
-    set: &ParameterSet,
-    Pour { particles, readings }: Pour,
-    seed: u64,
-) -> Result<Heap, String> {
+/// Heaps read this many times, including the variance their readings share.
+pub(super) fn formula(pours: &[Pour]) -> Vec<Result<Heap, String>> {
+    each(heap)(pours)
+}
+
+fn heap(&Pour { parameters, particles, readings, seed }: &Pour) -> Result<Heap, String> {
+    let set = &parameters;
     let sd = noise_deg(set);
     let common = 0.3 * sd * normal(seed, 1000);
     let tips: Vec<f64> = (0..readings)
@@ -119,10 +121,10 @@ fn an_interrupted_build_goes_on_and_ends_with_the_same_bytes_on_any_number_of_th
         });
         assert_eq!(stopped.unwrap_err(), Error::Stopped);
         let simulated = AtomicU32::new(0);
-        let counted = |set: &ParameterSet, pour: Pour, seed: u64| {
+        let counted = each(|pour: &Pour| {
             simulated.fetch_add(1, Ordering::Relaxed);
-            formula(set, pour, seed)
-        };
+            heap(pour)
+        });
         let resumed = pool
             .install(|| build(&design, numbers, &heard, counted, |_, _| ControlFlow::Continue(())))
             .unwrap();

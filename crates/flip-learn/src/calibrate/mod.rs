@@ -49,7 +49,6 @@ pub use trial::{CalibratedSet, Calibration, Heap, Outcome, Phase, Pour, Shortfal
 
 use flip_core::domain::FieldError;
 use flip_core::domain::job::Progress;
-use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Flowability;
 use flip_core::domain::seed::derive;
 use flip_core::stats::latin_hypercube::maximin_latin_hypercube;
@@ -57,14 +56,12 @@ use flip_core::stats::summary;
 use propose::Belief;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
-use rayon::prelude::*;
-use std::fmt::Display;
 use std::ops::ControlFlow;
 use trial::Planned;
 
 /// First index of the seeds of proposals; no trial uses it.
 const PROPOSALS: u64 = u64::MAX;
-/// Number of an emulator's heaps simulated before the first of them is reported.
+/// Number of simulations in a batch: the first is reported, and can be stored, when the last is done.
 const CHUNK: usize = 8;
 
 /// Why a calibration has no result.
@@ -130,7 +127,7 @@ fn nearest_text(tip_deg: Option<f64>) -> String {
 /// | `settings` | method, tolerance, budget, seed |
 /// | `knowledge` | the emulator, for the method of that name, and other measurements; its heaps count once, not in every calibration |
 /// | `history` | trials of an interrupted run with the same target and settings, in order; replayed, never simulated again |
-/// | `simulate` | from parameters, grains and readings, and seed to a heap, or to the reason for having none; called from several threads, must be pure |
+/// | `simulate` | a batch of heaps, in order, or the reason why one has none; must be pure |
 /// | `on_trial` | called with every new trial (not the replayed ones) in order of its index; `Break` stops |
 ///
 /// The same target, settings and `simulate` give the same bytes at any number of threads,
@@ -138,20 +135,19 @@ fn nearest_text(tip_deg: Option<f64>) -> String {
 ///
 /// # Errors
 /// [`Error`]
-pub fn calibrate<E: Display + Send>(
+///
+/// # Panics
+/// `simulate` returns more or fewer outcomes than there are heaps.
+pub fn calibrate(
     target: &Flowability,
     settings: &Settings,
     knowledge: Option<Knowledge<'_>>,
     history: &[Trial],
-    simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, E> + Sync,
+    simulate: impl Fn(&[Pour]) -> Vec<Result<Heap, String>>,
     mut on_trial: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
 ) -> Result<Calibration, Error> {
     let settings = settings.clone().checked()?;
     let target = Flowability::new(target.repose_deg, target.sd_deg, target.n)?;
-    let outcome = |p: &Planned| {
-        let heap = simulate(&p.parameters, settings.pour(p.phase, p.readings), p.seed);
-        Outcome::of(heap.map_err(|error| error.to_string()))
-    };
     let mut trials: Vec<Trial> = Vec::new();
     loop {
         let round = match (settings.method, &knowledge) {
@@ -172,9 +168,11 @@ pub fn calibrate<E: Display + Send>(
         }
         for batch in round.chunks(CHUNK.max(settings.batch as usize)) {
             let new = &batch[replay(batch, &mut trials, history, Some(&target))?..];
-            let outcomes: Vec<Outcome> = new.par_iter().map(outcome).collect();
-            for (planned, outcome) in new.iter().zip(outcomes) {
-                let trial = planned.clone().concluded(trials.len() as u32, outcome, Some(&target));
+            let pours: Vec<Pour> =
+                new.iter().map(|p| p.pour(settings.particles_of(p.phase))).collect();
+            for (planned, heap) in new.iter().zip(in_full(&pours, simulate(&pours))) {
+                let index = trials.len() as u32;
+                let trial = planned.clone().concluded(index, Outcome::of(heap), Some(&target));
                 trials.push(trial.clone());
                 if on_trial(&trial, &progress(&trials, &target, &settings)).is_break() {
                     return Err(Error::Stopped);
@@ -182,6 +180,12 @@ pub fn calibrate<E: Display + Send>(
             }
         }
     }
+}
+
+/// The outcomes of a batch, one for each experiment.
+fn in_full<E, O>(experiments: &[E], outcomes: Vec<O>) -> Vec<O> {
+    assert_eq!(outcomes.len(), experiments.len(), "every experiment has one outcome");
+    outcomes
 }
 
 /// Appends to `trials` the part of `batch` found in the history, after checking that they match;

@@ -1,6 +1,6 @@
 //! Settings of a calibration.
 
-use super::trial::{Phase, Pour};
+use super::trial::Phase;
 use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
@@ -127,13 +127,12 @@ impl Settings {
         }
     }
 
-    /// How the heaps of a phase are poured, with this many readings.
-    pub fn pour(&self, phase: Phase, readings: u32) -> Pour {
-        let particles = match phase {
+    /// Number of grains in the heaps of a phase.
+    pub fn particles_of(&self, phase: Phase) -> u32 {
+        match phase {
             Phase::Search => self.particles,
             Phase::Verification => self.verify_particles.unwrap_or(self.particles),
-        };
-        Pour { particles, readings }
+        }
     }
 
     /// Validates the settings.

@@ -1,15 +1,23 @@
 use super::*;
+use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::PUBLISHED;
 use flip_core::stats::latin_hypercube::{distance, latin_hypercube};
 use flip_core::stats::normal::quantile;
+use rayon::prelude::*;
 use std::sync::Mutex;
 
-/// Pour settings for tests that call the formula directly; the values do not matter.
-const POUR: Pour = Pour { particles: 2000, readings: 1 };
+/// A simulator that carries out `one` experiment after another on the threads of the current pool.
+pub(super) fn each<E: Sync, O: Send>(one: impl Fn(&E) -> O + Sync) -> impl Fn(&[E]) -> Vec<O> {
+    move |experiments| experiments.par_iter().map(&one).collect()
+}
 
 /// A formula shaped like the real simulator: friction raises the angle with decreasing slope,
 /// cohesion over gravity raises it, six parameters do nothing, each seed adds noise of SD 1 deg.
-fn formula(set: &ParameterSet, _: Pour, seed: u64) -> Result<Heap, String> {
+fn formula(pours: &[Pour]) -> Vec<Result<Heap, String>> {
+    each(|pour: &Pour| tip(&pour.parameters, pour.seed))(pours)
+}
+
+fn tip(set: &ParameterSet, seed: u64) -> Result<Heap, String> {
     let uniform = ((derive(seed, &[1]) >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
     heap(clean_deg(set) + quantile(uniform))
 }
@@ -38,7 +46,7 @@ fn run(deg: f64, settings: &Settings) -> Result<Calibration, Error> {
 /// The result and every trial reported.
 fn recorded(
     settings: &Settings,
-    simulate: impl Fn(&ParameterSet, Pour, u64) -> Result<Heap, String> + Sync,
+    simulate: impl Fn(&[Pour]) -> Vec<Result<Heap, String>>,
 ) -> (Vec<Trial>, Result<Calibration, Error>) {
     let mut trials = Vec::new();
     let result = calibrate(&target(36.03), settings, None, &[], simulate, |trial, _| {
@@ -92,7 +100,7 @@ fn random_search_needs_several_times_as_many_simulations() {
     let (mut spent, mut sets) = (0, 0);
     for (i, point) in latin_hypercube(10_000, &mut Pcg64::seed_from_u64(1)).iter().enumerate() {
         let set = ParameterSet::from_unit(*point);
-        let tip = |repeat| formula(&set, POUR, derive(9, &[i as u64, repeat])).unwrap().tip_deg;
+        let tip = |repeat| tip(&set, derive(9, &[i as u64, repeat])).unwrap().tip_deg;
         spent += 1;
         if (tip(0) - powder.repose_deg).abs() <= settings.tolerance_deg {
             spent += 2;
@@ -120,10 +128,10 @@ fn a_run_cut_after_any_trial_and_resumed_ends_with_the_same_bytes_at_any_number_
             let history: Vec<Trial> = serde_json::from_str(&text).unwrap();
             let asked = Mutex::new(Vec::new());
             let mut heard = history.clone();
-            let counted = |set: &ParameterSet, _: Pour, seed| {
-                asked.lock().unwrap().push(seed);
-                formula(set, POUR, seed)
-            };
+            let counted = each(|pour: &Pour| {
+                asked.lock().unwrap().push(pour.seed);
+                tip(&pour.parameters, pour.seed)
+            });
             let hear = |trial: &Trial, _: &Progress| {
                 heard.push(trial.clone());
                 ControlFlow::Continue(())
@@ -229,13 +237,13 @@ fn progress_never_goes_back_and_ends_at_one() {
 #[test]
 fn refused_simulations_are_recorded_and_then_avoided() {
     // Gravity below 0.7 of the published range never yields a heap: half of the box.
-    let picky = |set: &ParameterSet, _: Pour, seed| match set.gravity_scale() < 0.7 {
+    let picky = each(|pour: &Pour| match pour.parameters.gravity_scale() < 0.7 {
         true => Err("the base is not covered".to_owned()),
-        false => formula(set, POUR, seed),
-    };
+        false => tip(&pour.parameters, pour.seed),
+    });
     let (mut early, mut late) = ((0, 0), (0, 0));
     for seed in 1..=4 {
-        let (trials, result) = recorded(&Settings { seed, ..Settings::default() }, picky);
+        let (trials, result) = recorded(&Settings { seed, ..Settings::default() }, &picky);
         let result = result.unwrap();
         assert!(result.sets.iter().all(|s| s.parameters.gravity_scale() >= 0.7));
         for trial in trials.iter().filter(|t| t.phase == Phase::Search) {
@@ -286,22 +294,23 @@ fn a_small_budget_is_kept_to_the_last_run() {
 fn a_simulator_that_always_refuses_or_answers_nonsense_ends_in_an_explanation() {
     let settings = Settings { trials_max: 20, ..Settings::default() };
     for answer in [Err("diverged".to_owned()), heap(f64::NAN), heap(f64::INFINITY)] {
-        let (trials, result) = recorded(&settings, |_, _, _| answer.clone());
+        let (trials, result) = recorded(&settings, each(|_| answer.clone()));
         let Err(Error::TooFew(short)) = result else { panic!("{result:?}") };
         assert_eq!((trials.len(), short.refused, short.nearest_deg), (20, 20, None));
         assert!(short.to_string().contains("no simulation gave an angle"));
         assert!(!serde_json::to_string(&trials).unwrap().contains("null,"), "a number was lost");
     }
     // Constant angles, and an emulator with nothing to learn.
-    let (_, flat) = recorded(&few(), |_, _, _| heap(36.0));
+    let (_, flat) = recorded(&few(), each(|_| heap(36.0)));
     assert_eq!(flat.unwrap().sets.len(), 4);
 }
 
 #[test]
 fn a_number_that_is_none_now_and_then_never_reaches_a_result() {
-    let broken = |set: &ParameterSet, _: Pour, seed: u64| {
-        if seed.is_multiple_of(5) { heap(f64::NAN) } else { formula(set, POUR, seed) }
-    };
+    let broken = each(|pour: &Pour| match pour.seed.is_multiple_of(5) {
+        true => heap(f64::NAN),
+        false => tip(&pour.parameters, pour.seed),
+    });
     let (trials, result) = recorded(&few(), broken);
     assert!(trials.iter().any(|t| t.error_deg.is_none()), "the test needs a refusal");
     let result = result.unwrap();

@@ -16,13 +16,17 @@ pub enum Phase {
     Verification,
 }
 
-/// How a heap is poured and read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A heap to simulate.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pour {
+    /// The powder.
+    pub parameters: ParameterSet,
     /// Number of grains.
     pub particles: u32,
     /// Number of readings, over which its angle is averaged.
     pub readings: u32,
+    /// Seed of the simulation.
+    pub seed: u64,
 }
 
 /// One simulated heap.
@@ -153,6 +157,12 @@ impl Planned {
             seed,
             readings: settings.readings,
         }
+    }
+
+    /// The heap to simulate, of this many grains.
+    pub fn pour(&self, particles: u32) -> Pour {
+        let Self { parameters, readings, seed, .. } = *self;
+        Pour { parameters, particles, readings, seed }
     }
 
     /// Whether `trial` is this simulation's record.

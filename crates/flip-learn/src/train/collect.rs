@@ -1,4 +1,4 @@
-//! One round of episodes, played in parallel with one snapshot of the policy.
+//! One round of episodes, played with one snapshot of the policy: a batch of experiments.
 
 use super::environment::{Filling, Played, Spoon, play};
 use super::episodes::Episode;
@@ -79,38 +79,52 @@ pub fn plan(index: u32, level: u32, levels: &[Level], settings: &Settings) -> Pl
     Planned { index, level, randomised, set, patch, heap, repose_deg, target_mg, rng, seed }
 }
 
-/// Plays these episodes, one per task; results are in order. Without an actor the actions are
-/// random. None if `flow` requested a stop before all were played.
-pub fn play_round<F: Filling>(
-    planned: Vec<Planned>,
-    actor: Option<&Actor>,
-    spoons: &Spoons<F>,
-    settings: &Settings,
-    flow: &Flow<'_>,
-) -> Option<Vec<(Planned, Played)>> {
-    // If days do not recur, keeping their spoons is not worth the memory.
-    let recur = settings.extended.as_ref().is_none_or(Extended::is_held);
-    planned
-        .into_par_iter()
-        .map(|mut plan| {
+/// The episodes of a round.
+pub struct Round<'a> {
+    /// They are played independently of each other.
+    pub planned: Vec<Planned>,
+    /// The policy; without one the actions are random.
+    pub actor: Option<&'a Actor>,
+    /// Settings of the training.
+    pub settings: &'a Settings,
+}
+
+/// Where the rounds of a training are played: on this machine's cores by [`Spoons`].
+pub trait Rounds {
+    /// Plays a round; results are in order and depend on nothing else. None if `flow` requested a
+    /// stop before all were played.
+    fn play(&self, round: Round<'_>, flow: &Flow<'_>) -> Option<Vec<(Planned, Played)>>;
+}
+
+impl<F: Filling> Rounds for Spoons<'_, F> {
+    fn play(&self, round: Round<'_>, flow: &Flow<'_>) -> Option<Vec<(Planned, Played)>> {
+        let Round { planned, actor, settings } = round;
+        let play = |mut plan: Planned| {
             if flow().is_break() {
                 return None;
             }
-            if plan.index < settings.surrogate_episodes {
-                let spoon = Surrogate::new(settings.rules.pitch)
-                    .fill(&plan.set, derive(plan.seed, &[SPOONFUL]));
-                let played = play_planned(&mut plan, spoon, actor, settings);
-                return Some((plan, played));
-            }
-            let spoon = match (plan.randomised, recur) {
-                (true, _) => spoons.fill(&plan.set, plan.index, &plan.patch),
-                (false, false) => spoons.fill(&plan.set, plan.heap, &plan.patch),
-                (false, true) => spoons.take(&plan.set, plan.heap, &plan.patch),
+            let played = if plan.index < settings.surrogate_episodes {
+                let seed = derive(plan.seed, &[SPOONFUL]);
+                let spoon = Surrogate::new(settings.rules.pitch).fill(&plan.set, seed);
+                play_planned(&mut plan, spoon, actor, settings)
+            } else {
+                let spoon = spoon(self, &plan, settings);
+                play_planned(&mut plan, spoon, actor, settings)
             };
-            let played = play_planned(&mut plan, spoon, actor, settings);
             Some((plan, played))
-        })
-        .collect()
+        };
+        planned.into_par_iter().map(play).collect()
+    }
+}
+
+fn spoon<F: Filling>(spoons: &Spoons<'_, F>, plan: &Planned, settings: &Settings) -> F::Spoon {
+    // If days do not recur, keeping their spoons is not worth the memory.
+    let recur = settings.extended.as_ref().is_none_or(Extended::is_held);
+    match (plan.randomised, recur) {
+        (true, _) => spoons.fill(&plan.set, plan.index, &plan.patch),
+        (false, false) => spoons.fill(&plan.set, plan.heap, &plan.patch),
+        (false, true) => spoons.take(&plan.set, plan.heap, &plan.patch),
+    }
 }
 
 fn play_planned(

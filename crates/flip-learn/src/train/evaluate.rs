@@ -4,7 +4,6 @@ use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::{derive, index_of};
 use flip_core::stats::summary::{bootstrap_mean_interval, mean, sd};
 use flip_policy::{Controller, ON_TARGET_MG};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// A controller and its name in tables.
@@ -140,49 +139,74 @@ pub struct Evaluation {
     pub trials: Vec<Trial>,
 }
 
-/// Weighs every dose of the plan in parallel; the result does not depend on the number of threads.
-///
-/// `weigh_once` is called with controller, powder, one of its parameter sets, target in mg and
-/// seed; it should be the loop used for real weighings. Its first error ends the evaluation.
-///
-/// # Errors
-/// Any error of `weigh_once`.
-pub fn evaluate<E: Send>(
-    plan: &Plan,
-    weigh_once: impl Fn(&Controller, &Subject, &ParameterSet, f64, u64) -> Result<Dose, E> + Sync,
-) -> Result<Evaluation, E> {
-    let mut doses = Vec::new();
-    for contender in &plan.contenders {
-        for subject in &plan.subjects {
-            for &target_mg in &plan.targets_mg {
-                for repeat in 0..plan.repeats {
-                    // Seeded by the dose's content, not by its place in the plan: extending the
-                    // plan changes none of the existing doses.
-                    let seed = derive(
-                        plan.seed,
-                        &[index_of(&subject.powder), target_mg.to_bits(), repeat.into()],
-                    );
-                    doses.push((contender, subject, target_mg, repeat, seed));
+/// A weighing of an evaluation.
+#[derive(Debug, Clone, Copy)]
+pub struct Weighing<'a> {
+    /// Who weighs.
+    pub contender: &'a Contender,
+    /// The powder.
+    pub subject: &'a Subject,
+    /// Its parameter set.
+    pub set: &'a ParameterSet,
+    /// Target, mg.
+    pub target_mg: f64,
+    /// Repeat, from 0.
+    pub repeat: u32,
+    /// Seed.
+    pub seed: u64,
+}
+
+impl Plan {
+    /// Its weighings, by contender, powder, target and repeat.
+    pub fn weighings(&self) -> Vec<Weighing<'_>> {
+        let mut weighings = Vec::new();
+        for contender in &self.contenders {
+            for subject in &self.subjects {
+                for &target_mg in &self.targets_mg {
+                    for repeat in 0..self.repeats {
+                        let set = &subject.sets[repeat as usize % subject.sets.len()];
+                        // Seeded by the dose's content, not by its place in the plan: extending the
+                        // plan changes none of the existing doses.
+                        let seed = derive(
+                            self.seed,
+                            &[index_of(&subject.powder), target_mg.to_bits(), repeat.into()],
+                        );
+                        let of = Weighing { contender, subject, set, target_mg, repeat, seed };
+                        weighings.push(of);
+                    }
                 }
             }
         }
+        weighings
     }
-    let trials = doses
-        .into_par_iter()
-        .map(|(contender, subject, target_mg, repeat, seed)| {
-            let set = &subject.sets[repeat as usize % subject.sets.len()];
-            let dose = weigh_once(&contender.controller, subject, set, target_mg, seed)?;
-            Ok(Trial {
-                controller: contender.name.clone(),
-                powder: subject.powder.clone(),
-                target_mg,
-                repeat,
-                parameter_set: set.id(),
-                dose,
-            })
-        })
-        .collect::<Result<Vec<Trial>, E>>()?;
-    Ok(summarise(plan, trials))
+}
+
+/// Weighs every dose of the plan.
+///
+/// `weigh` receives all weighings at once and returns their doses in the same order; it should be
+/// the loop used for real weighings.
+///
+/// # Errors
+/// Any error of `weigh`.
+///
+/// # Panics
+/// `weigh` returns more or fewer doses than there are weighings.
+pub fn evaluate<E>(
+    plan: &Plan,
+    weigh: impl FnOnce(&[Weighing<'_>]) -> Result<Vec<Dose>, E>,
+) -> Result<Evaluation, E> {
+    let weighings = plan.weighings();
+    let doses = weigh(&weighings)?;
+    assert_eq!(doses.len(), weighings.len(), "every weighing has one dose");
+    let trial = |(of, dose): (&Weighing<'_>, Dose)| Trial {
+        controller: of.contender.name.clone(),
+        powder: of.subject.powder.clone(),
+        target_mg: of.target_mg,
+        repeat: of.repeat,
+        parameter_set: of.set.id(),
+        dose,
+    };
+    Ok(summarise(plan, weighings.iter().zip(doses).map(trial).collect()))
 }
 
 fn summarise(plan: &Plan, trials: Vec<Trial>) -> Evaluation {
@@ -279,8 +303,7 @@ mod tests {
 
     #[test]
     fn rows_and_summaries_have_the_numbers_one_gets_by_hand() {
-        let evaluation =
-            evaluate(&plan(), |_, _, set, target, _| Ok::<_, ()>(weigh(set, target, 0.5))).unwrap();
+        let evaluation = weighed(&plan(), |set, target, _| weigh(set, target, 0.5));
         assert_eq!(
             (evaluation.rows.len(), evaluation.summary.len(), evaluation.trials.len()),
             (8, 2, 32)
@@ -316,30 +339,23 @@ mod tests {
         );
     }
 
+    /// The evaluation of `plan` with this dose of a set, a target and a seed.
+    fn weighed(plan: &Plan, dose: impl Fn(&ParameterSet, f64, u64) -> Dose) -> Evaluation {
+        let one = |of: &Weighing<'_>| dose(of.set, of.target_mg, of.seed);
+        evaluate(plan, |all| Ok::<_, ()>(all.iter().map(one).collect())).unwrap()
+    }
+
     #[test]
-    fn contenders_meet_the_same_spoons_and_threads_change_nothing() {
-        let run = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| {
-                evaluate(&plan(), |_, _, set, target, seed| {
-                    Ok::<_, ()>(weigh(set, target, (seed % 1000) as f64 / 1000.0))
-                })
-                .unwrap()
-            })
-        };
-        let one = run(1);
-        assert_eq!(one, run(2));
-        assert!(one.trials[..16].iter().zip(&one.trials[16..]).all(|(a, b)| a.dose == b.dose));
+    fn contenders_meet_the_same_spoons() {
+        let by_seed = |set: &_, target, seed| weigh(set, target, (seed % 1000) as f64 / 1000.0);
+        let trials = weighed(&plan(), by_seed).trials;
+        assert!(trials[..16].iter().zip(&trials[16..]).all(|(a, b)| a.dose == b.dose));
     }
 
     #[test]
     fn a_dose_meets_the_same_spoon_wherever_its_powder_and_target_stand_in_the_lists() {
-        let trials = |plan: Plan| {
-            let weigh = |_: &_, _: &_, set: &_, target, seed: u64| {
-                Ok::<_, ()>(weigh(set, target, (seed >> 11) as f64))
-            };
-            evaluate(&plan, weigh).unwrap().trials
-        };
+        let by_seed = |set: &_, target, seed| weigh(set, target, (seed >> 11) as f64);
+        let trials = |plan: Plan| weighed(&plan, by_seed).trials;
         let all = trials(plan());
         let salt = plan().subjects.remove(1);
         let few = trials(Plan { subjects: vec![salt], targets_mg: vec![20.0], ..plan() });
@@ -352,9 +368,7 @@ mod tests {
 
     #[test]
     fn an_error_of_the_bench_ends_the_evaluation() {
-        assert_eq!(
-            evaluate(&plan(), |_, _, _, _, _| Err("the balance is silent")),
-            Err("the balance is silent")
-        );
+        let silent = "the balance is silent";
+        assert_eq!(evaluate(&plan(), |_| Err(silent)), Err(silent));
     }
 }

@@ -1,7 +1,7 @@
 //! The training loop.
 
 use super::checkpoint;
-use super::collect::{Planned, plan, play_round, remembered, stream};
+use super::collect::{Planned, Round, Rounds, plan, remembered, stream};
 use super::curriculum::Curriculum;
 use super::environment::{Filling, Played, simulated};
 use super::record::{
@@ -186,11 +186,11 @@ impl State {
 
     /// Plays a round, learns from it, and reports its episodes; None, with nothing changed, if
     /// `flow` requested a stop.
-    fn round<F: Filling>(
+    fn round(
         &mut self,
         levels: &[Level],
         settings: &Settings,
-        spoons: &Spoons<F>,
+        rounds: &impl Rounds,
         flow: &Flow<'_>,
     ) -> Result<Option<Vec<EpisodeRecord>>, TrainError> {
         let first = self.progress.episodes;
@@ -204,8 +204,8 @@ impl State {
         let diverged = TrainError::Diverged { episodes: first };
         let actor = self.learner.snapshot(settings).ok_or(diverged)?;
         let learns = first >= settings.warmup_episodes;
-        let Some(played) = play_round(planned, learns.then_some(&actor), spoons, settings, flow)
-        else {
+        let round = Round { planned, actor: learns.then_some(&actor), settings };
+        let Some(played) = rounds.play(round, flow) else {
             return Ok(None);
         };
         for (plan, played) in &played {

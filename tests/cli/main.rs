@@ -1,0 +1,16 @@
+//! The command line as scripts see it: the real binary, its exit status, its single document.
+
+mod bench;
+mod compare;
+mod config;
+mod discover;
+mod doctor;
+mod every_command;
+mod harness;
+mod measurements;
+mod policy;
+mod repose;
+mod serve;
+mod token;
+mod train;
+mod validate;

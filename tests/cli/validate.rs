@@ -1,0 +1,35 @@
+//! `flip validate`.
+
+use crate::harness::{document, expect_status, flip, stderr};
+
+#[test]
+fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = flip(
+        folder.path(),
+        &["validate", "--only", "free_fall", "--only", "incline_threshold", "--json"],
+    );
+    expect_status(&output, 0);
+    let document = document(&output);
+    let names: Vec<&str> = document["checks"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| c["name"].as_str().unwrap())
+        .collect();
+    assert_eq!(names, ["free_fall", "incline_threshold"]);
+    for check in document["checks"].as_array().unwrap() {
+        assert_eq!(check["passed"], true, "{check}");
+        for key in ["measured", "expected", "tolerance"] {
+            assert!(check[key].is_f64(), "{key} of {check}");
+        }
+        assert!(check["unit"].is_string() && !check["source"].as_str().unwrap().is_empty());
+    }
+    let unknown = flip(folder.path(), &["validate", "--only", "antigravity"]);
+    expect_status(&unknown, 2);
+    assert!(
+        stderr(&unknown).contains("only") && stderr(&unknown).contains("free_fall"),
+        "{}",
+        stderr(&unknown)
+    );
+}
