@@ -51,7 +51,7 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 27] = [
+const CONFINED: [(&str, &[&str]); 28] = [
     ("sqlx::", &["store", "jobs"]),
     ("apalis::", &["jobs"]),
     ("apalis_", &["jobs"]),
@@ -70,6 +70,7 @@ const CONFINED: [(&str, &[&str]); 27] = [
     ("tower_http::", &["api"]),
     ("tch::", &["train"]),
     ("csv::", &["app"]),
+    ("maud::", &["app"]),
     ("rayon::", &["calibrate", "discover", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),

@@ -3,15 +3,12 @@
 //! It states what was measured and where the record of it is; it claims no compliance with
 //! anything.
 
+use super::document::page;
 use super::{App, Error, Result, WeighingDetail};
 use flip_core::domain::weighing::{MeasuredMass, Outcome};
 use flip_store::audit::AuditRecord;
 use flip_store::weighings::Weighing;
-use std::fmt::Write;
-
-/// Content security policy: the page's own style, and nothing else.
-pub const POLICY: &str =
-    "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
+use maud::{Markup, html};
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:46rem;padding:0 1rem;color:#111;background:#fff}\
 h1{font-size:1.4rem;margin:0}h2{font-size:1rem;margin:1.6rem 0 .3rem}table{border-collapse:collapse;width:100%}\
@@ -39,7 +36,7 @@ impl App {
             None => record.unrecorded = true,
         }
         self.export_audit(Some(id), |it| record.add(it)).await?;
-        Ok(html(&detail, &record))
+        Ok(certificate(&detail, &record))
     }
 
     /// The recorded outcome of a weighing that has ended; `None` for weighings that predate the
@@ -104,45 +101,37 @@ impl Recorded {
 }
 
 /// The page; the same weighing always gives the same bytes.
-fn html(detail: &WeighingDetail, record: &Recorded) -> String {
+fn certificate(detail: &WeighingDetail, record: &Recorded) -> String {
     let weighing = &detail.weighing;
-    let mut body = format!(
-        "<h1>Weighing certificate</h1><p class=\"big\">{}</p>{}",
-        result(weighing),
-        all_warnings(detail, record)
-            .iter()
-            .map(|text| format!("<p class=\"warn\">{}</p>", escaped(text)))
-            .collect::<String>()
-    );
-    section(&mut body, "What was asked", &asked(weighing));
-    section(&mut body, "What was measured", &measured(weighing));
-    section(&mut body, "With what", &provenance(weighing));
-    section(&mut body, "Record", &record.rows());
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n<title>Weighing {} · FLIP</title>\n<style>{STYLE}</style>\n</head>\n\
-         <body>\n{body}<footer>Made by FLIP {}. It states what was measured and recorded; it does not claim compliance with any regulation. \
-         `flip audit verify --hash HASH` checks the record.</footer>\n</body>\n</html>\n",
-        escaped(&weighing.id),
-        env!("CARGO_PKG_VERSION")
-    )
+    let body = html! {
+        h1 { "Weighing certificate" }
+        p.big { (result(weighing)) }
+        @for warning in all_warnings(detail, record) { p.warn { (warning) } }
+        (section("What was asked", &asked(weighing)))
+        (section("What was measured", &measured(weighing)))
+        (section("With what", &provenance(weighing)))
+        (section("Record", &record.rows()))
+        footer {
+            "Made by FLIP " (env!("CARGO_PKG_VERSION")) ". It states what was measured and recorded; "
+            "it does not claim compliance with any regulation. "
+            "`flip audit verify --hash HASH` checks the record."
+        }
+    };
+    page(&format!("Weighing {} · FLIP", weighing.id), STYLE, None, &body)
 }
 
-fn section(body: &mut String, title: &str, rows: &[(&str, String)]) {
-    if rows.is_empty() {
-        return;
+fn section(title: &str, rows: &[(&str, String)]) -> Markup {
+    html! {
+        @if !rows.is_empty() {
+            h2 { (title) }
+            table { @for (name, value) in rows { tr { th scope="row" { (name) } td { (value) } } } }
+        }
     }
-    let _infallible = write!(body, "<h2>{title}</h2><table>");
-    for (name, value) in rows {
-        let _infallible =
-            write!(body, "<tr><th scope=\"row\">{name}</th><td>{}</td></tr>", escaped(value));
-    }
-    body.push_str("</table>");
 }
 
 /// The net mass with its uncertainty, or a statement that there is none.
 fn result(weighing: &Weighing) -> String {
-    let powder = escaped(&weighing.powder);
+    let powder = &weighing.powder;
     match (&weighing.measured, weighing.reading_mg) {
         (Some(measured), _) => {
             format!(
@@ -324,16 +313,17 @@ fn digits(value: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::document::hostile::assert_inert;
     use super::*;
     use serde_json::{Value, json};
 
     fn page(weighing: Value) -> String {
+        page_of(weighing, &Recorded::default())
+    }
+
+    fn page_of(weighing: Value, record: &Recorded) -> String {
         let mut all = json!({
             "id": "w", "powder": "salt", "target_mg": 10.0, "tolerance_lower_mg": 1.0, "tolerance_upper_mg": 1.0, "policy": "p",
             "parameter_set": "ps", "seed": 1, "state": "done", "outcome": "within", "dispensed_mg": 8.2, "reading_mg": 9.3, "error_mg": -0.7,
@@ -344,10 +334,8 @@ mod tests {
         };
         all_fields.extend(fields);
         let weighing = serde_json::from_value(all).unwrap();
-        html(
-            &WeighingDetail { weighing, ticks: Vec::new(), trace_lost: None },
-            &Recorded::default(),
-        )
+        let detail = WeighingDetail { weighing, ticks: Vec::new(), trace_lost: None };
+        certificate(&detail, record)
     }
 
     fn measured(proven: bool) -> Value {
@@ -369,6 +357,26 @@ mod tests {
             "{open}"
         );
         assert!(!proven.to_lowercase().contains("not proven"), "{proven}");
+    }
+
+    #[test]
+    fn no_name_on_a_certificate_is_markup() {
+        assert_inert(|name| {
+            let mut all = measured(false);
+            all["measured"]["devices"] = json!({ "balance": name });
+            for field in ["id", "powder", "policy", "error"] {
+                all[field] = name.into();
+            }
+            for field in ["lot", "vial", "operator"] {
+                all["asked"][field] = name.into();
+            }
+            let record = Recorded {
+                asked_by: Some(name.to_owned()),
+                lost: vec![name.to_owned()],
+                ..Recorded::default()
+            };
+            page_of(all, &record)
+        });
     }
 
     #[test]

@@ -7,7 +7,7 @@ use super::{csv_file, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
-use crate::app::{Investigation, InvestigationRequest, Job, Page, report_html};
+use crate::app::{Investigation, InvestigationRequest, Job, Page, document, report_html};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::header;
@@ -80,5 +80,5 @@ pub async fn get_report_page(
 ) -> Result<Response, Problem> {
     let page = report_html::html(&app.report(&id).await?);
     // It may load only its own inline style.
-    Ok(([(header::CONTENT_SECURITY_POLICY, report_html::POLICY)], Html(page)).into_response())
+    Ok(([(header::CONTENT_SECURITY_POLICY, document::POLICY)], Html(page)).into_response())
 }

@@ -3,6 +3,7 @@ use super::html;
 use super::words::{
     cause, chance, column_with_unit, duration, interval, num, percent, signed, span, with_unit,
 };
+use crate::app::document::hostile::assert_inert;
 use flip_discover::numerics::{Dependence, Varied};
 use flip_discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
 use flip_discover::report::{
@@ -221,7 +222,7 @@ fn check_balance(page: &str) {
         assert!(!tag.contains('<'), "< within a tag: {tag}");
         assert!(tag.matches('"').count().is_multiple_of(2), "an attribute ends: {tag}");
         let name = tag.trim_start_matches('/').split([' ', '/']).next().unwrap();
-        match (tag.starts_with('/'), tag.ends_with('/')) {
+        match (tag.starts_with('/'), ["meta", "br"].contains(&name)) {
             (true, _) => assert_eq!(open.pop(), Some(name), "closes what is open"),
             (false, true) => {}
             (false, false) => open.push(name),
@@ -258,21 +259,7 @@ fn every_verdict_makes_a_page_whose_tags_balance() {
 #[test]
 fn nothing_that_comes_from_a_file_is_markup() {
     for verdict in VERDICTS {
-        for word in [
-            "<script>alert(1)</script>",
-            "\"><img src=x onerror=alert(1)>",
-            "' onload='x",
-            "</style><b>",
-            "a & b",
-            "\0<!--",
-        ] {
-            let page = html(&full(verdict, word));
-            check_balance(&page);
-            let markup = page.split("</style>").nth(1).unwrap();
-            for bad in ["<script", "<Script", "<img", "<b>", "<!--", "' onload", "& ", "\0"] {
-                assert!(!markup.contains(bad), "{verdict:?}, {word}: {bad}");
-            }
-        }
+        assert_inert(|name| html(&full(verdict, name)));
     }
     assert!(html(&full(Verdict::Cause, "<script>")).contains("&lt;script&gt;"));
 }
@@ -400,7 +387,7 @@ fn numbers_are_written_as_people_write_them() {
     assert_eq!([0.5, 0.02, 0.0021, 0.0002].map(chance), ["0.50", "0.020", "0.002", "0.0002"]);
     assert_eq!(
         [0.0, 0.001, 0.93, 0.999, 1.0].map(percent),
-        ["0 %", "&lt; 1 %", "93 %", "&gt; 99 %", "100 %"]
+        ["0 %", "< 1 %", "93 %", "> 99 %", "100 %"]
     );
     assert_eq!([12.0, 9000.0, 900.0].map(duration), ["12 s", "2.5 h", "15 min"]);
     assert_eq!(
