@@ -1,6 +1,6 @@
 //! Figures of a report as SVG. Lengths are in pixels of a figure [`WIDTH`] wide.
 
-use super::words::{column_with_unit, lower, num, percent, shortened, words};
+use super::words::{column_with_unit, num, percent, shortened, words};
 use flip_discover::report::{Curve, NullCheck, Report, Row};
 use maud::{Markup, html};
 
@@ -236,7 +236,8 @@ pub fn residuals(report: &Report, curve: &Curve) -> Option<Markup> {
             @let y = y.at(*residual);
             @match at {
                 Some(place) => (mark(*powder, x.at(place + aside(k)), y)),
-                None => path.rug.{ "p" (powder % COLOURS) } d=(format!("M{:.1} {y:.1}h14", right + 14.0)) {},
+                None => path.rug.{ "p" (powder % COLOURS) }
+                    d=(format!("M{:.1} {y:.1}h14", right + 14.0)) {},
             }
         }
         @if missing > 0 {
@@ -245,8 +246,8 @@ pub fn residuals(report: &Report, curve: &Curve) -> Option<Markup> {
         }
     };
     let summary = format!(
-        "Measured less simulated angle of repose over {}: {} runs, {missing} without it recorded.",
-        lower(&label),
+        "Measured minus simulated angle of repose over {label}: {} runs, {missing} without a \
+         recorded value.",
         points.len()
     );
     Some(figure(&label, &summary, HEIGHT, &drawing))
@@ -273,7 +274,8 @@ fn steps(x: &Scale, y: &Scale, course: &[[f64; 3]]) -> Markup {
         @for [place, mean, half] in course {
             @let (from, to) = (x.at(place - 0.38), x.at(place + 0.38));
             @let (top, low) = (y.at(mean + half), y.at(mean - half));
-            rect.band x=(px(from)) y=(px(top.min(low))) width=(px(to - from)) height=(px((low - top).abs())) {}
+            rect.band x=(px(from)) y=(px(top.min(low)))
+                width=(px(to - from)) height=(px((low - top).abs())) {}
             path.course d=(format!("M{from:.1} {:.1}H{to:.1}", y.at(*mean))) {}
         }
     }
@@ -331,7 +333,7 @@ pub fn predicted(report: &Report, caption: &str, side: Side) -> Markup {
         .replace('>', "more than")
         .replace('<', "less than");
     let summary = format!(
-        "RMS difference {}° over {count} runs; {share} lie within their 90 % interval.",
+        "RMS difference {}° over {count} runs; {share} % lie within their 90 % interval.",
         num(rms, 2)
     );
     html! { div { (figure(caption, &summary, HEIGHT, &drawing)) p.note { (summary) } } }
@@ -364,11 +366,11 @@ pub fn null_scale(check: &NullCheck) -> Markup {
         text.(here_side).strong x=(px(here_text)) y="40" { "here" }
     };
     let summary = format!(
-        "The statistic here is {}; one of twenty campaigns without an effect exceeds {}.",
+        "The statistic here is {}; one in twenty campaigns without an effect exceeds {}.",
         num(statistic, 1),
         num(threshold95, 1)
     );
-    figure("The statistic here, and of campaigns with nothing wrong", &summary, HEIGHT, &drawing)
+    figure("The statistic here, and where nothing is wrong", &summary, HEIGHT, &drawing)
 }
 
 /// A bar from zero to `value` on a scale shared by all bars of a table.

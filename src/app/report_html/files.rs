@@ -12,14 +12,15 @@ const ROWS_SHOWN: usize = 20;
 pub fn files(report: &Report) -> Markup {
     section(
         "How the data were read",
-        "Each column of the files, what it was taken as, and what does not count.",
+        "How each column of the files was interpreted, and what was ignored.",
         &html! { @for it in &report.files { (file(it)) } },
     )
 }
 
 fn file(file: &FileRead) -> Markup {
     let headings =
-        [left("Column"), left("Taken as"), right("Filled"), right("Missing"), left("Note")];
+        [left("Column"), left("Read as"), right("Filled"), right("Missing"), left("Note")];
+    let columns: Vec<Markup> = file.columns.iter().map(column).collect();
     let left_out = file
         .left_out
         .iter()
@@ -29,7 +30,7 @@ fn file(file: &FileRead) -> Markup {
     let notes: Vec<String> = left_out.chain(notes).chain(powders).collect();
     html! {
         h3 { (upper(&file.file)) " " small { (file.rows) " rows" } }
-        (table("", &headings, &file.columns.iter().map(column).collect::<Vec<_>>()))
+        (table(&format!("Columns of {}", file.file), "", &headings, &columns))
         @if !notes.is_empty() { ul.plain { @for note in notes { li { (note) } } } }
     }
 }

@@ -4,7 +4,7 @@
 use super::figures;
 use super::sections::{left, right, row, section, table};
 use super::words::{interval, num, percent, signed, with_unit};
-use flip_discover::report::{Gain, HeldOut, Report, WeighingGain};
+use flip_discover::report::{Gain, HeldOut, Report};
 use maud::{Markup, html};
 
 pub fn before_after(report: &Report) -> Markup {
@@ -13,7 +13,7 @@ pub fn before_after(report: &Report) -> Markup {
     let has_after = measured().any(|row| row.after_deg.is_some());
     section(
         "Before and after",
-        "What the simulator predicts, against what was measured.",
+        "Simulator predictions compared with measurements.",
         &html! {
             @if has_before || has_after {
                 div.figures {
@@ -23,15 +23,19 @@ pub fn before_after(report: &Report) -> Markup {
                         }))
                     }
                     @if has_after {
-                        (figures::predicted(report, "After: with what was found", |row| {
+                        (figures::predicted(report, "After: with the findings", |row| {
                             (row.after_deg, row.after_sd_deg)
                         }))
                     }
                 }
                 p.note {
-                    "Dashed: predicted as measured; 90 % of runs should lie between the dotted lines. "
-                    "These rows were used in the fit, so both sides look better than they are"
-                    @if report.gain.is_some() { "; the tables below are of rows left out." } @else { "." }
+                    "Dashed line: prediction equals measurement. 90 % of runs should lie between "
+                    "the dotted lines. These rows were used in the fit, so both plots look better "
+                    "than they are"
+                    @if report.gain.is_some() {
+                        "; the tables below use rows left out of the fit"
+                    }
+                    "."
                 }
             }
             @if let Some(it) = &report.gain { (gain(it)) }
@@ -41,30 +45,31 @@ pub fn before_after(report: &Report) -> Markup {
 
 fn gain(gain: &Gain) -> Markup {
     html! {
-        h3 { "On data that were left out of the fit" }
         p {
             @if gain.accepted {
-                "The extended simulator predicts better what it was not fitted to. It is accepted."
+                "The extended simulator is better at predicting data it was not fitted to. "
+                "It is accepted."
             } @else {
-                "The extended simulator does not surely predict better what it was not fitted to. "
-                "It is not accepted."
+                "The extended simulator is not clearly better at predicting data it was not "
+                "fitted to. It is not accepted."
             }
-            " The whole search was repeated without the part left out; days left out decide."
+            " The whole search was repeated without the part left out. "
+            "The result for left-out days decides."
         }
         (errors(gain))
         (scores(gain))
-        @if let Some(it) = &gain.weighing_error_mg { (weighing(it)) }
     }
 }
 
 fn errors(gain: &Gain) -> Markup {
     let split = |name: &str, it: &HeldOut| {
-        let smaller = with_unit(&signed(it.rmse_before - it.rmse_after, 2), &it.unit);
+        let error = |written: String| html! { (with_unit(&written, &it.unit)) };
         let cells = [
             html! { (it.n) },
-            html! { (with_unit(&num(it.rmse_before, 2), &it.unit)) },
-            html! { (with_unit(&num(it.rmse_after, 2), &it.unit)) },
-            html! { (smaller) " " (interval(it.ci95, 2)) },
+            error(num(it.rmse_before, 2)),
+            error(num(it.rmse_after, 2)),
+            error(signed(it.rmse_before - it.rmse_after, 2)),
+            html! { (interval(it.ci95, 2)) },
         ];
         row(name, &cells)
     };
@@ -79,53 +84,53 @@ fn errors(gain: &Gain) -> Markup {
         left("Left out in turn"),
         right("Runs"),
         right("RMS error before"),
-        right("after"),
-        right("smaller by [95 %]"),
+        right("RMS error after"),
+        right("Reduction"),
+        right("95 % interval"),
     ];
-    table("", &headings, &rows)
+    table("Errors on rows left out of the fit", "", &headings, &rows)
 }
+
+/// Before, after, improvement and its interval.
+type Scored = [Option<String>; 4];
 
 fn scores(gain: &Gain) -> Markup {
-    let score = &gain.log_score;
-    let rows = [
-        row(
-            "Log score, nats a run (more is better)",
-            &[
-                html! { (num(score.before, 2)) },
-                html! { (num(score.after, 2)) },
-                html! { (signed(score.after - score.before, 2)) " " (interval(score.ci95, 2)) },
-            ],
+    let compared = |before: f64, after: f64, better: f64, ci95: [f64; 2]| -> Scored {
+        [num(before, 2), num(after, 2), signed(better, 2), interval(ci95, 2)].map(Some)
+    };
+    let (score, coverage) = (&gain.log_score, &gain.coverage90);
+    let mut all: Vec<(&str, Scored)> = vec![
+        (
+            "Log score, nats per run (higher is better)",
+            compared(score.before, score.after, score.after - score.before, score.ci95),
         ),
-        row(
-            "Runs within their 90 % interval (90 % is right)",
-            &[
-                html! { (percent(gain.coverage90.before)) },
-                html! { (percent(gain.coverage90.after)) },
-                html! {},
-            ],
+        (
+            "Runs within their 90 % interval, % (ideal: 90)",
+            [Some(percent(coverage.before)), Some(percent(coverage.after)), None, None],
         ),
     ];
-    let headings =
-        [left("Days left out in turn"), right("before"), right("after"), right("better by [95 %]")];
-    table("", &headings, &rows)
-}
-
-fn weighing(it: &WeighingGain) -> Markup {
-    let mg = |value: f64| html! { (num(value, 2)) " mg" };
-    let cells = [
-        mg(it.before),
-        mg(it.after),
-        mg(it.sham),
-        it.oracle.map_or_else(|| html! { "–" }, mg),
-        html! { (signed(it.before - it.after, 2)) " mg " (interval(it.ci95, 2)) },
-    ];
+    if let Some(it) = &gain.weighing_error_mg {
+        let trained = |error: f64| -> Scored { [None, Some(num(error, 2)), None, None] };
+        all.push((
+            "Mean weighing error, mg",
+            compared(it.before, it.after, it.before - it.after, it.ci95),
+        ));
+        all.push((
+            "The same, trained equally long on an extension with no effect, mg",
+            trained(it.sham),
+        ));
+        all.extend(it.oracle.map(|of| ("The same, trained on the truth, mg", trained(of))));
+    }
+    let line = |(name, cells): (&str, Scored)| {
+        row(name, &cells.map(|cell| html! { (cell.as_deref().unwrap_or("–")) }))
+    };
     let headings = [
-        left("Policy trained on"),
-        right("simulator before"),
-        right("after"),
-        right("sham"),
-        right("the truth"),
-        right("smaller by [95 %]"),
+        left("Other scores, days left out in turn"),
+        right("Before"),
+        right("After"),
+        right("Improvement"),
+        right("95 % interval"),
     ];
-    table("", &headings, &[row("Mean error of a weighing", &cells)])
+    let rows: Vec<Markup> = all.into_iter().map(line).collect();
+    table("Other scores before and after", "", &headings, &rows)
 }

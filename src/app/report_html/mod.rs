@@ -110,10 +110,10 @@ fn provenance(report: &Report) -> Markup {
     };
     let measured = report.rows.iter().filter(|row| row.measured_deg.is_some()).count();
     let mut facts = vec![
-        ("Simulator that was judged", html! { span.mono { (versions.base) } }),
-        ("Simulator that the findings make", extended),
+        ("Simulator tested", html! { span.mono { (versions.base) } }),
+        ("Simulator extended by the findings", extended),
         ("Simulations", html! { (report.simulator_runs) }),
-        ("Simulated campaigns without an effect", html! { (report.null_check.campaigns) }),
+        ("Campaigns without an effect", html! { (report.null_check.campaigns) }),
     ];
     if let Some(numerics) = &report.numerics {
         facts.push(("The simulator's own numerics", words::numerics(numerics)));
@@ -124,12 +124,12 @@ fn provenance(report: &Report) -> Markup {
         facts.push(("Rows with an angle", html! { (measured) " " small { (of) } }));
     }
     if report.wall_s > 0.0 {
-        facts.push(("Time it took", html! { (duration(report.wall_s)) }));
+        facts.push(("Run time", html! { (duration(report.wall_s)) }));
     }
-    facts.push(("Version of this document", html! { (report.schema_version) }));
+    facts.push(("Document version", html! { (report.schema_version) }));
     sections::section(
         "Provenance",
-        "The same file, settings and seed give this report again. All numbers are in report.json.",
+        "The same file, settings and seed reproduce this report. All numbers are in report.json.",
         &html! {
             dl.facts { @for (what, value) in facts { div { dt { (what) } dd { (value) } } } }
         },

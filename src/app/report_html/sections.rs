@@ -4,7 +4,7 @@ use super::figures::{self, Sample, bar};
 use super::traces::is_of_traces;
 use super::words::{
     cause, chance, column, column_with_unit, counted, decimals_of, duration, interval, level,
-    listed, lower, num, parameter, percent, signed, span, with_unit, words,
+    listed, num, parameter, percent, signed, span, with_unit, words,
 };
 use flip_discover::report::{
     CauseReport, Channel, Evidence, Experiment, Finding, ParameterReport, PowderEffect, Report,
@@ -39,11 +39,12 @@ pub(super) fn right(label: impl Render) -> Markup {
     html! { th scope="col" { (label) } }
 }
 
-/// A table that scrolls sideways.
-pub(super) fn table(class: &str, headings: &[Markup], rows: &[Markup]) -> Markup {
+/// A table that scrolls sideways; the style hides a caption that repeats the section's heading.
+pub(super) fn table(caption: &str, class: &str, headings: &[Markup], rows: &[Markup]) -> Markup {
     html! {
-        div.scroll tabindex="0" {
+        div.scroll tabindex="0" role="region" aria-label=(caption) {
             table class=(class) {
+                caption { (caption) }
                 thead { tr { @for heading in headings { (heading) } } }
                 tbody { @for row in rows { (row) } }
             }
@@ -95,10 +96,11 @@ pub fn residuals(report: &Report) -> Markup {
     }
     let missing = report.curves.iter().any(|curve| curve.at.iter().any(Option::is_none));
     let mut samples = vec![
-        (Sample::Zero, "as simulated before"),
+        (Sample::Zero, "simulated before"),
         (
             Sample::Course,
-            "with what was found: the average over powders, and the band of 90 % of runs around it",
+            "with the findings: the average over powders, and the band around it that should hold \
+             90 % of runs",
         ),
     ];
     if missing {
@@ -107,13 +109,17 @@ pub fn residuals(report: &Report) -> Markup {
     let left_out = drawn.len().saturating_sub(FIGURES_MAX);
     section(
         "Where measured and simulated angles differ",
-        "Each mark is one row of the file. A powder's mean is fitted, so what counts is a trend along a condition. \
-         Powders that react otherwise than the average, and other conditions, move marks out of the band.",
+        "Each mark is one row of the file. Each powder's mean is fitted, so look for a trend along \
+         a condition. Marks fall outside the band when a powder responds differently from the \
+         average, or because of other conditions.",
         &html! {
             (figures::legend(&figures::powders(&report.rows), &samples))
             div.figures { @for figure in drawn.iter().take(FIGURES_MAX) { (figure) } }
             @if left_out > 0 {
-                p.note { (counted(left_out, "recorded condition")) " of less weight not drawn." }
+                p.note {
+                    (counted(left_out, "less important recorded condition"))
+                    (if left_out == 1 { " is" } else { " are" }) " not plotted."
+                }
             }
         },
     )
@@ -135,16 +141,24 @@ pub fn evidence(report: &Report) -> Markup {
         return html! {};
     }
     let has_both = !angles.is_empty() && !traces.is_empty();
-    let headings = [left("Cause and its family"), right("Evidence (log10)"), right("Probability")];
-    let tables = [("Angles of repose", angles), ("Balance readings", traces)];
+    let headings = [
+        left("Cause"),
+        right("Evidence (log10)"),
+        right("Probability (%)"),
+        left("Family"),
+        left("Cannot be tested"),
+    ];
+    let caption = "Evidence for each cause";
+    let tables = [("angles of repose", angles), ("balance readings", traces)];
     section(
         "How well each cause explains the data",
-        "Evidence: 0 is noise alone, 1 explains the data ten times as well, 2 a hundred times; below 0 noise alone does better. \
-         Probability: that the cause is at work, if anything is; two causes may be at work together.",
+        "Evidence: 0 is no better than noise alone, 1 explains the data ten times as well, 2 a \
+         hundred times; below 0, noise alone does better. Probability: the chance that the cause \
+         is at work, if anything is. Two causes can be at work together.",
         &html! {
-            @for (title, rows) in tables.iter().filter(|(_, rows)| !rows.is_empty()) {
-                @if has_both { h3 { (title) } }
-                (table("evidence", &headings, rows))
+            @for (of, rows) in tables.iter().filter(|(_, rows)| !rows.is_empty()) {
+                @let whole = if has_both { format!("{caption}: {of}") } else { caption.to_owned() };
+                (table(&whole, "evidence", &headings, rows))
             }
             (causes(report))
         },
@@ -153,16 +167,18 @@ pub fn evidence(report: &Report) -> Markup {
 
 fn weighed(it: &Evidence, (low, high): (f64, f64)) -> Markup {
     let class = if it.log10_evidence < 0.0 { "against" } else { "weight" };
-    let family = it.family.as_deref().map_or(String::new(), |family| lower(&words(family)));
+    let family = it.family.as_deref().map_or_else(|| "–".to_owned(), words);
     let number = |bar: Markup, written: String| html! { (bar) span.number { (written) } };
     row(
-        html! { (cause(&it.cause)) " " span.small { (family) } },
+        cause(&it.cause),
         &[
             number(bar(it.log10_evidence, low, high, class), signed(it.log10_evidence, 1)),
             number(
                 bar(it.inclusion_probability, 0.0, 1.0, "share"),
                 percent(it.inclusion_probability),
             ),
+            wrapped(&family),
+            wrapped("–"),
         ],
     )
 }
@@ -171,7 +187,8 @@ fn untestable(it: &UntestableReport) -> Markup {
     html! {
         tr.greyed {
             th scope="row" { (cause(&it.mechanism)) }
-            td.left.wrap colspan="2" { "cannot be tested: " (it.reason) }
+            @for _ in 0..3 { td { "–" } }
+            td { (wrapped(&it.reason)) }
         }
     }
 }
@@ -192,13 +209,13 @@ fn causes(report: &Report) -> Markup {
 }
 
 fn told(it: &CauseReport) -> Markup {
-    let powders: Vec<String> = it.powders.iter().map(|name| lower(&words(name))).collect();
+    let powders: Vec<String> = it.powders.iter().map(|name| words(name)).collect();
     html! {
         li {
             strong { (cause(&it.mechanism)) }
-            ", " (percent(it.inclusion_probability)) ". "
+            ", " (percent(it.inclusion_probability)) " %. "
             "Level " (it.confidence_level) " of 3: " (level(it.confidence_level)) "."
-            @if !powders.is_empty() { " Shows on " (listed(&powders)) "." }
+            @if !powders.is_empty() { " Seen in " (listed(&powders)) "." }
             @for it in &it.parameters { " " (fitted(it)) }
         }
     }
@@ -254,35 +271,35 @@ pub fn by_powder(report: &Report) -> Markup {
         [left("Powder")].into_iter().chain(findings.iter().map(|it| right(heading(it)))).collect();
     section(
         "Effect on each powder",
-        "How far the measurement moves from one end of the condition to the other, with its 95 % interval. \
-         Bold: the interval leaves out zero.",
-        &table("heat", &headings, &rows),
+        "How far the measurement changes from one end of the condition's range to the other, with \
+         its 95 % interval. Bold: the interval excludes zero.",
+        &table("Effect on each powder", "heat", &headings, &rows),
     )
 }
 
 /// Measurements other than the angle.
 pub fn beside(report: &Report) -> Markup {
     let line = |it: &SideChannel| {
-        let (name, looked_at) = match it.channel {
-            Channel::FlowTime => ("Flow times", "flow time"),
-            _ => ("Scatter of repeats", "difference"),
+        let name = match it.channel {
+            Channel::FlowTime => "Flow times",
+            _ => "Scatter of repeats",
         };
-        let says = match it.sentence.as_str() {
-            "" => "It is the same throughout.",
-            says => says,
+        let result = match it.sentence.as_str() {
+            "" => "No difference found.",
+            sentence => sentence,
         };
-        let count = counted(it.n as usize, looked_at);
-        row(name, &[html! { (count) }, html! { (chance(it.p_value)) }, wrapped(says)])
+        row(name, &[html! { (it.n) }, html! { (chance(it.p_value)) }, wrapped(result)])
     };
     let rows: Vec<Markup> = report.beside.iter().map(line).collect();
     if rows.is_empty() {
         return html! {};
     }
-    let headings = [left("Measurement"), right("Looked at"), right("p"), left("What it says")];
+    let headings = [left("Measurement"), right("Values"), right("p"), left("Result")];
     section(
-        "What was measured beside the angle",
-        "Each judged by itself, as the angles are. The simulator says nothing of how far repeats scatter, so that alone is no discrepancy.",
-        &table("", &headings, &rows),
+        "Other measurements",
+        "Each is judged separately, in the same way as the angles. The simulator does not predict \
+         how far repeats scatter, so scatter alone is not a discrepancy.",
+        &table("Other measurements", "", &headings, &rows),
     )
 }
 
@@ -294,8 +311,15 @@ fn heading(finding: &Finding) -> Markup {
         Channel::Scatter => "Scatter: ",
     };
     let what =
-        finding.covariate.as_deref().map_or("nothing recorded".to_owned(), |name| column(name).0);
-    html! { (channel) (what) br; span.small { (span(&finding.span, &what)) } }
+        finding.covariate.as_deref().map_or("Nothing recorded".to_owned(), |name| column(name).0);
+    html! {
+        (channel) (what) ", " (span(&finding.span, &what))
+        @match finding.unit.as_str() {
+            "" | "1" => {},
+            "deg" => " (°)",
+            unit => { " (" (unit) ")" },
+        }
+    }
 }
 
 fn effect(effect: Option<PowderEffect>, most: f64, unit: &str) -> Markup {
@@ -309,7 +333,7 @@ fn effect(effect: Option<PowderEffect>, most: f64, unit: &str) -> Markup {
     let sure = if is_told(it.ci95, unit) { "sure" } else { "plain-effect" };
     html! {
         td class={ (sure) (shade) } {
-            (with_unit(&signed(it.effect, 1), unit)) " " span.small { (interval(it.ci95, 1)) }
+            (signed(it.effect, 1)) " " span.small { (interval(it.ci95, 1)) }
         }
     }
 }
@@ -320,7 +344,7 @@ pub fn blind_spots(report: &Report) -> Markup {
     }
     section(
         "What these data cannot show",
-        "Nothing is claimed of these, neither that they are there nor that they are not.",
+        "No claim is made about these, neither that they are present nor that they are absent.",
         &html! { ul.plain { @for spot in &report.blind_spots { li { (spot) } } } },
     )
 }
@@ -337,8 +361,9 @@ pub fn left_out(report: &Report) -> Markup {
         .collect();
     section(
         "Columns that were left out",
-        "Conditions are what was there before a heap was poured. What was read off the heap afterwards explains its angle and causes nothing.",
-        &table("", &[left("Column"), left("Why")], &rows),
+        "A condition is set or recorded before a heap is poured. What is read off the heap \
+         afterwards may explain its angle, but cannot cause it.",
+        &table("Columns that were left out", "", &[left("Column"), left("Reason")], &rows),
     )
 }
 
@@ -352,33 +377,33 @@ pub fn null_check(report: &Report) -> Markup {
         .minimum_detectable
         .iter()
         .map(|it| {
-            let cells = [html! { (num(it.effect_deg, 1)) "°" }, html! { (percent(it.power)) }];
+            let cells = [html! { (num(it.effect_deg, 1)) }, html! { (percent(it.power)) }];
             row(cause(&it.mechanism), &cells)
         })
         .collect();
-    let headings = [left("Cause"), right("Effect"), right("Found in")];
+    let headings = [left("Cause"), right("Smallest effect (°)"), right("Found in (%)")];
     section(
         "Null check",
-        "How often as much is found where nothing is wrong.",
+        "How often this much is found when nothing is wrong.",
         &html! {
             @if let Some((statistic, threshold95)) = check.statistic.zip(check.threshold95) {
                 p {
                     (counted(check.campaigns as usize, "campaign"))
-                    " of this design (its powders, days, repeats and gaps) were simulated with nothing wrong, "
-                    "and the whole search was done on each. The statistic is the natural log of the "
-                    "strongest evidence for any cause, with how likely the cause was before. "
-                    "One in twenty exceeds " (num(threshold95, 1)) "; here it is " (num(statistic, 1))
-                    ", p\u{a0}=\u{a0}" (chance(report.p_value)) "."
+                    " of this design (same powders, days, repeats and gaps) were simulated with "
+                    "nothing wrong, and the whole search was run on each. The statistic is the "
+                    "natural log of the strongest evidence for any cause, weighted by the cause's "
+                    "prior probability. One in twenty exceeds " (num(threshold95, 1))
+                    "; here it is " (num(statistic, 1)) ", p\u{a0}=\u{a0}" (chance(report.p_value)) "."
                 }
                 div.figures { (figures::null_scale(check)) }
             }
             @if !detectable.is_empty() {
-                h3 { "The smallest effects that this design would find" }
                 p.note {
-                    "Change of the angle from the 5th to the 95th percentile of the condition, "
-                    "all powders alike. Smaller ones are easily missed."
+                    "The smallest effects that this design would find, as the change in angle from "
+                    "the 5th to the 95th percentile of the condition, the same for all powders. "
+                    "Smaller effects are easily missed."
                 }
-                (table("", &headings, &detectable))
+                (table("Smallest detectable effects", "", &headings, &detectable))
             }
         },
     )
@@ -388,33 +413,34 @@ pub fn experiment(report: &Report) -> Markup {
     let Some(it) = &report.suggested_experiment else { return html! {} };
     section(
         "The next experiment",
-        "What would tell most. Do the runs in this order.",
-        &experiment_card(it),
+        "The most informative experiment. Do the runs in this order.",
+        &experiment_card(it, "Runs of the next experiment"),
     )
 }
 
-pub(super) fn experiment_card(it: &Experiment) -> Markup {
+/// An experiment in words, and the table of its runs.
+pub(super) fn experiment_card(it: &Experiment, caption: &str) -> Markup {
     html! {
         div.card {
             p { strong { (it.what) } }
             dl.facts {
-                div { dt { "Time it takes" } dd { (duration(60.0 * it.minutes)) } }
+                div { dt { "Time needed" } dd { (duration(60.0 * it.minutes)) } }
                 @if let Some(chance) = it.chance_of_resolution {
-                    div { dt { "Chance that it settles the cause" } dd { (percent(chance)) } }
+                    div { dt { "Chance of settling the cause" } dd { (percent(chance)) " %" } }
                 }
                 @if let Some(posterior) = it.expected_posterior {
                     div {
-                        dt { "Probability of the right cause after it" }
-                        dd { (percent(posterior)) " " small { "on average" } }
+                        dt { "Probability of the right cause afterwards" }
+                        dd { (percent(posterior)) " % " small { "on average" } }
                     }
                 }
             }
         }
-        (runs(it))
+        (runs(it, caption))
     }
 }
 
-fn runs(experiment: &Experiment) -> Markup {
+fn runs(experiment: &Experiment, caption: &str) -> Markup {
     let mut columns: Vec<&str> = Vec::new();
     for name in experiment.runs.iter().flat_map(|run| run.keys()) {
         if !columns.contains(&name.as_str()) {
@@ -436,5 +462,5 @@ fn runs(experiment: &Experiment) -> Markup {
             row(number, &columns.iter().map(cell).collect::<Vec<_>>())
         })
         .collect();
-    table("", &headings, &rows)
+    table(caption, "", &headings, &rows)
 }

@@ -337,12 +337,12 @@ fn what_a_report_says_is_on_its_page() {
         "humidity +3.0",
         "[2.0, 4.0]",
         "93 %",
-        "cannot be tested: humidity",
+        "Cannot be tested",
         "+0.59",
         "[0.40, 0.80]",
         "It is accepted",
-        "1.40 mg",
-        "1.3°",
+        "Mean weighing error, mg",
+        "1.3",
         "88 %",
         "1 not",
         "15 min",
@@ -352,7 +352,10 @@ fn what_a_report_says_is_on_its_page() {
         assert!(folded.contains(&said.to_lowercase().replace("humidity +3.0", "+3.0")), "{said}");
     }
     let between = words_of(&html(&full(Verdict::Ambiguous, "humidity")));
-    assert!(between.contains("cannot tell between humidity and ageing since opening"), "{between}");
+    assert!(
+        between.contains("cannot distinguish between humidity and ageing since opening"),
+        "{between}"
+    );
     let law = words_of(&html(&full(Verdict::Unexplained, "pressure_hpa")));
     assert!(
         law.contains("It depends on pressure. Its law (a straight line): pressure_hpa."),
@@ -376,7 +379,7 @@ fn conditions_of_findings_are_drawn_first_and_at_most_eight() {
         .take(8)
         .collect();
     assert_eq!(captions[..3], ["Relative humidity (%)", "Column7", "Column0"]);
-    assert!(words_of(&page).contains("4 recorded conditions of less weight not drawn"));
+    assert!(words_of(&page).contains("4 less important recorded conditions are not plotted"));
 }
 
 #[test]
@@ -385,11 +388,11 @@ fn numbers_are_written_as_people_write_them() {
     assert_eq!(num(f64::NAN, 1), "–");
     assert_eq!(interval([-0.6, 0.4], 1), "[−0.6, 0.4]");
     assert_eq!([0.5, 0.02, 0.0021, 0.0002].map(chance), ["0.50", "0.020", "0.002", "0.0002"]);
+    assert_eq!([0.0, 0.001, 0.93, 0.999, 1.0].map(percent), ["0", "< 1", "93", "> 99", "100"]);
     assert_eq!(
-        [0.0, 0.001, 0.93, 0.999, 1.0].map(percent),
-        ["0 %", "< 1 %", "93 %", "> 99 %", "100 %"]
+        [12.0, 900.0, 5700.0, 9000.0].map(duration),
+        ["12 s", "15 min", "1 h 35 min", "2 h 30 min"]
     );
-    assert_eq!([12.0, 9000.0, 900.0].map(duration), ["12 s", "2.5 h", "15 min"]);
     assert_eq!(
         ["relative_humidity_pct", "vibration_rms_m_s2", "operator", "_c", "rest_min"]
             .map(column_with_unit),

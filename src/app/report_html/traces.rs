@@ -20,29 +20,30 @@ pub fn traces(report: &Report) -> Markup {
         .filter(|finding| finding.channel == Channel::Trace)
         .map(finding)
         .collect();
-    let headings = [left("From where to where"), right("Change"), right("95 % interval")];
+    let headings = [left("Range"), right("Change"), right("95 % interval")];
     let own = it
         .suggested_experiment
         .as_ref()
         .filter(|own| report.suggested_experiment.as_ref() != Some(*own));
     section(
         "Balance readings",
-        "What the balance showed during weighings, against the simulated spoon and balance. A powder's own response to the shakes is fitted, \
-         so what counts is the course of readings after a shake, of shakes in a weighing, and of scatter.",
+        "Balance readings during weighings, compared with the simulated spoon and balance. Each \
+         powder's response to the shakes is fitted, so look at how readings change after a shake, \
+         from shake to shake within a weighing, and in their scatter.",
         &html! {
             p {
                 (counted(it.weighings as usize, "dose")) " and "
-                (counted(it.controls as usize, "log")) " of the empty pan or a standard mass: "
+                (counted(it.controls as usize, "log")) " of the empty pan or of a standard mass: "
                 (counted(it.readings as usize, "reading")) ", "
-                (counted(it.shakes as usize, "shake")) ". By themselves p\u{a0}=\u{a0}"
+                (counted(it.shakes as usize, "shake")) ". On their own, p\u{a0}=\u{a0}"
                 (chance(it.p_value)) "."
             }
             @if let Some(why) = &it.unjudged {
-                p { "What the spoon lets fall is not judged: " (why) "." }
+                p { "The powder that the spoon releases was not judged: " (why) "." }
             }
-            @if !found.is_empty() { (table("", &headings, &found)) }
+            @if !found.is_empty() { (table("Changes of the balance readings", "", &headings, &found)) }
             (null(&it.null_check))
-            @if let Some(own) = own { h3 { "The next control" } (experiment_card(own)) }
+            @if let Some(own) = own { h3 { "The next control" } (experiment_card(own, "Runs of the next control")) }
         },
     )
 }
@@ -55,7 +56,8 @@ fn null(check: &NullCheck) -> Markup {
         h3 { "Null check" }
         p {
             "Readings of this design were simulated " (check.campaigns)
-            " times with nothing wrong, and the whole search was done on each. One in twenty exceeds "
+            " times with nothing wrong, and the whole search was run on each. "
+            "One in twenty exceeds "
             (num(threshold95, 1)) "; here it is " (num(statistic, 1)) "."
         }
         div.figures { (figures::null_scale(check)) }

@@ -16,9 +16,9 @@ pub fn upper(phrase: &str) -> String {
 pub fn numerics(of: &Numerics) -> Markup {
     let told = |it: &Dependence| {
         let (what, per) = match it.varied {
-            Varied::SettlingTime => ("settling time", "a decade"),
-            Varied::Substep => ("substep", "a doubling"),
-            Varied::Particles => ("grains", "a doubling"),
+            Varied::SettlingTime => ("settling time", "decade"),
+            Varied::Substep => ("substep", "doubling"),
+            Varied::Particles => ("grains", "doubling"),
         };
         let verdict = match (it.is_defect, it.varied) {
             (true, Varied::SettlingTime) => ": heaps creep",
@@ -26,7 +26,7 @@ pub fn numerics(of: &Numerics) -> Markup {
             (false, _) => "",
         };
         let ends = it.ci99.map(|end| signed(end, 1));
-        format!("{what} {} deg {per} [{}, {}]{verdict}", signed(it.slope_deg, 1), ends[0], ends[1])
+        format!("{what} {}° per {per} [{}, {}]{verdict}", signed(it.slope_deg, 1), ends[0], ends[1])
     };
     let all: Vec<String> = of.dependences.iter().map(told).collect();
     let heaps: u32 = of.dependences.iter().map(|it| it.runs).sum();
@@ -92,21 +92,22 @@ pub fn chance(p: f64) -> String {
     )
 }
 
-/// A share as `93 %`; nearly none or nearly all is not rounded to none or all.
+/// A share in percent, without the sign; nearly none or nearly all is not rounded to none or all.
 pub fn percent(share: f64) -> String {
     match share {
-        s if s > 0.0 && s < 0.005 => "< 1 %".to_owned(),
-        s if s < 1.0 && s > 0.995 => "> 99 %".to_owned(),
-        s => format!("{} %", num(100.0 * s, 0)),
+        s if s > 0.0 && s < 0.005 => "< 1".to_owned(),
+        s if s < 1.0 && s > 0.995 => "> 99".to_owned(),
+        s => num(100.0 * s, 0),
     }
 }
 
-/// A duration in seconds, minutes or hours.
+/// A duration: `42 s`, `15 min` or `1 h 35 min`.
 pub fn duration(seconds: f64) -> String {
-    match seconds {
-        s if s < 100.0 => format!("{} s", num(s, 0)),
-        s if s < 7200.0 => format!("{} min", num(s / 60.0, 0)),
-        s => format!("{} h", num(s / 3600.0, 1)),
+    let minutes = (seconds / 60.0).round();
+    match minutes {
+        _ if seconds < 100.0 => format!("{} s", num(seconds, 0)),
+        m if m < 60.0 => format!("{} min", num(m, 0)),
+        m => format!("{} h {:02} min", num((m / 60.0).floor(), 0), m % 60.0),
     }
 }
 
