@@ -25,7 +25,7 @@ impl App {
         let mut detail = self.weighing(id).await?;
         if detail.weighing.outcome.is_none() {
             let advice =
-                format!("weighing {id} has not ended: its certificate can be printed when it has");
+                format!("weighing {id} has not ended: its certificate can be printed once it has");
             return Err(Error::conflict("weighing_unfinished", advice));
         }
         let mut record = Recorded::default();
@@ -48,7 +48,7 @@ impl App {
             (None, said) => Ok(said),
             (Some(changed), _) => {
                 let advice = format!(
-                    "weighing {id} is not certified: {}. `flip audit verify` goes through the whole record; a backup may hold what was written",
+                    "weighing {id} is not certified: {}. `flip audit verify` checks the whole record; a backup may hold what was written",
                     changed.why
                 );
                 Err(Error::conflict("record_differs", advice))
@@ -92,10 +92,10 @@ impl Recorded {
         rows.extend(self.last.iter().flat_map(|last| {
             [
                 ("Last record", format!("{} of {}", last.seq, last.at)),
-                ("Hash up to there", last.hash.clone()),
+                ("Hash up to that record", last.hash.clone()),
             ]
         }));
-        rows.extend(self.asked_by.iter().map(|who| ("Asked for with the token of", who.clone())));
+        rows.extend(self.asked_by.iter().map(|who| ("Requested with the token of", who.clone())));
         rows
     }
 }
@@ -107,9 +107,9 @@ fn certificate(detail: &WeighingDetail, record: &Recorded) -> String {
         h1 { "Weighing certificate" }
         p.big { (result(weighing)) }
         @for warning in all_warnings(detail, record) { p.warn { (warning) } }
-        (section("What was asked", &asked(weighing)))
-        (section("What was measured", &measured(weighing)))
-        (section("With what", &provenance(weighing)))
+        (section("Request", &asked(weighing)))
+        (section("Result", &measured(weighing)))
+        (section("Provenance", &provenance(weighing)))
         (section("Record", &record.rows()))
         footer {
             "Made by FLIP " (env!("CARGO_PKG_VERSION")) ". It states what was measured and recorded; "
@@ -151,11 +151,10 @@ fn result(weighing: &Weighing) -> String {
 fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
     let mut all = warnings(&detail.weighing);
     all.extend(detail.trace_lost.clone());
-    all.extend(record.lost.iter().map(|why| format!("A part of its record is lost: {why}.")));
+    all.extend(record.lost.iter().map(|why| format!("Part of its record is lost: {why}.")));
     if record.unrecorded {
         all.push(
-            "It ended before FLIP kept a record: what is printed here is proven by nothing."
-                .to_owned(),
+            "It ended before FLIP kept a record: nothing printed here can be verified.".to_owned(),
         );
     }
     all
@@ -166,18 +165,14 @@ fn warnings(weighing: &Weighing) -> Vec<String> {
     let mut all = Vec::new();
     let told = |outcome: Outcome| match outcome {
         Outcome::Within => None,
-        Outcome::Under => Some("The dose is short of the target beyond its tolerance."),
-        Outcome::Over => {
-            Some("The dose is above the target beyond its tolerance: powder cannot be taken back.")
-        }
-        Outcome::NotStable => {
-            Some("The balance did not come to rest: the mass is not to be relied on.")
-        }
-        Outcome::Blocked => Some("Nothing more left the spoon."),
+        Outcome::Under => Some("The dose is below the target by more than the tolerance."),
+        Outcome::Over => Some("The dose is above the target by more than the tolerance."),
+        Outcome::NotStable => Some("The balance did not settle: do not rely on the mass."),
+        Outcome::Blocked => Some("No more powder left the spoon."),
         Outcome::Stopped => Some("The weighing was stopped."),
         Outcome::Aborted => Some("The weighing was aborted."),
         Outcome::Unknown => {
-            Some("The process ended during the weighing: what lies in the vial is not known.")
+            Some("The process ended during the weighing: the content of the vial is not known.")
         }
     };
     all.extend(weighing.outcome.and_then(told).map(str::to_owned));
@@ -185,21 +180,21 @@ fn warnings(weighing: &Weighing) -> Vec<String> {
     if let Some(measured) = &weighing.measured {
         if measured.proven == Some(false) {
             all.push(format!(
-                "Not proven: with its uncertainty of {} mg the net mass may lie on either side of a limit of the tolerance.",
+                "Not proven: with its uncertainty of {} mg, the net mass may lie on either side of a tolerance limit.",
                 digits(measured.uncertainty_mg)
             ));
         }
         match (measured.below_minimum_weight, measured.minimum_mg) {
             (Some(true), Some(minimum)) => all.push(format!(
-                "Below the minimum weight of this balance, {} mg at the accuracy asked for: not accurately weighed in the sense of USP <41>.",
+                "Below the minimum weight of this balance, {} mg at the required accuracy: not accurately weighed in the sense of USP <41>.",
                 digits(minimum)
             )),
-            (None, _) => all.push("The balance's repeatability was not checked: its minimum weight is not known.".to_owned()),
+            (None, _) => all.push("The balance's repeatability was not checked, so its minimum weight is not known.".to_owned()),
             _ => {}
         }
         if !(measured.stable_by_balance && measured.stable_by_window) {
             all.push(
-                "The last reading was not stable by both the balance's flag and our own window."
+                "The last reading was not stable by both the balance's flag and FLIP's own window."
                     .to_owned(),
             );
         }
@@ -224,10 +219,10 @@ fn asked(weighing: &Weighing) -> Vec<(&'static str, String)> {
     let mut more = |name, value: Option<String>| rows.extend(value.map(|value| (name, value)));
     more("Lot", asked.lot.clone());
     more("Vial", asked.vial.clone());
-    more("Asked for by", asked.operator.clone());
+    more("Requested by", asked.operator.clone());
     more("Temperature", asked.temperature_c.map(|c| format!("{c} °C")));
     more("Relative humidity", asked.relative_humidity_pct.map(|pct| format!("{pct} %")));
-    more("Accuracy asked for", asked.accuracy_pct.map(|pct| format!("{pct} %")));
+    more("Required accuracy", asked.accuracy_pct.map(|pct| format!("{pct} %")));
     rows
 }
 
@@ -235,8 +230,10 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
     let mut rows = vec![("Outcome", outcome(weighing))];
     let Some(it) = &weighing.measured else { return rows };
     let mg = |value: Option<f64>| {
-        value
-            .map_or_else(|| "not told by the balance".to_owned(), |mg| format!("{} mg", digits(mg)))
+        value.map_or_else(
+            || "not reported by the balance".to_owned(),
+            |mg| format!("{} mg", digits(mg)),
+        )
     };
     rows.extend([
         ("Gross", mg(it.gross_mg)),
@@ -252,18 +249,18 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
             ),
         ),
         (
-            "Stable by the balance / by our window",
+            "Stable by the balance / by FLIP's window",
             format!("{} / {}", yes(it.stable_by_balance), yes(it.stable_by_window)),
         ),
     ]);
     rows.extend(
-        weighing.error_mg.map(|mg| ("Error (net less target)", format!("{} mg", digits(mg)))),
+        weighing.error_mg.map(|mg| ("Error (net minus target)", format!("{} mg", digits(mg)))),
     );
     rows.extend(drift(it));
     rows.extend(weighing.shakes.map(|n| ("Shakes", n.to_string())));
     rows.extend(weighing.seconds.map(|s| ("Time on the bench", format!("{s:.1} s"))));
     let thrown = it.discarded_mg.iter().map(|mg| digits(*mg)).collect::<Vec<_>>().join(", ");
-    rows.extend((!thrown.is_empty()).then_some(("Thrown away before, mg", thrown)));
+    rows.extend((!thrown.is_empty()).then_some(("Discarded before, mg", thrown)));
     rows
 }
 
@@ -282,7 +279,7 @@ fn provenance(weighing: &Weighing) -> Vec<(&'static str, String)> {
         let named = |(role, name): (&String, &String)| format!("{role}: {name}");
         rows.push(("Devices", measured.devices.iter().map(named).collect::<Vec<_>>().join("; ")));
     }
-    rows.push(("Intent committed", weighing.created_at.to_string()));
+    rows.push(("Request recorded", weighing.created_at.to_string()));
     rows.extend(weighing.started_at.map(|at| ("Armed", at.to_string())));
     rows.extend(weighing.finished_at.map(|at| ("Ended", at.to_string())));
     rows

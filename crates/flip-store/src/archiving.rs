@@ -113,7 +113,7 @@ impl Store {
         for (record, seq) in run.iter().zip(first.seq..) {
             if let Some(why) = record.flaw(seq, previous) {
                 let advice =
-                    "`flip audit verify` goes through the whole record; it was left where it is";
+                    "`flip audit verify` checks the whole record; it was left where it is";
                 return Err(Error::Corrupt(format!(
                     "record {seq} of the audit trail: {why}. {advice}"
                 )));
