@@ -1,6 +1,7 @@
 //! Figures of a report as SVG. Lengths are in pixels of a figure [`WIDTH`] wide.
 
-use super::words::{column_with_unit, num, percent, shortened, words};
+use super::Named;
+use super::words::{column_with_unit, num, percent, shortened};
 use flip_discover::report::{Curve, NullCheck, Report, Row};
 use maud::{Markup, html};
 
@@ -103,7 +104,7 @@ pub enum Sample {
 }
 
 /// The legend of the marks.
-pub fn legend(powders: &[&str], samples: &[(Sample, &str)]) -> Markup {
+pub fn legend(powders: &[&str], named: Named, samples: &[(Sample, &str)]) -> Markup {
     let swatch = |drawing: Markup, name: &str| {
         html! {
             li {
@@ -115,7 +116,7 @@ pub fn legend(powders: &[&str], samples: &[(Sample, &str)]) -> Markup {
     html! {
         ul.legend {
             @for (k, name) in powders.iter().enumerate() {
-                (swatch(mark(k, 11.0, 6.0), &words(name)))
+                (swatch(mark(k, 11.0, 6.0), &named(name)))
             }
             @for (sample, name) in samples { (swatch(sample.drawing(), name)) }
         }

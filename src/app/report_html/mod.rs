@@ -1,5 +1,5 @@
-//! The report of an investigation as one self-contained HTML page: no script, no font, no other
-//! file.
+//! The report of an investigation as HTML: a self-contained page without script, font or other
+//! file, or its sections alone, which FLIP's own page shows.
 //!
 //! ```text
 //! mod.rs         the page: sentence and verdict first, provenance last
@@ -10,9 +10,10 @@
 //! files.rs       how the files were read
 //! figures.rs     SVG
 //! words.rs       names, numbers and units
-//! style.css      light, dark, phone and paper
+//! style.css      the file around the sections, on a screen, a phone and paper
 //! ```
 //!
+//! The sections' style and the colours are the page's: `web/src/report.css`, `web/src/tokens.css`.
 //! The same report always gives the same bytes.
 
 mod figures;
@@ -26,22 +27,49 @@ mod words;
 #[cfg(test)]
 mod tests;
 
-use super::document::page;
+use super::document::{inert, page};
 use flip_discover::Report;
 use flip_discover::report::Verdict;
 use maud::{Markup, html};
 use meaning::meaning;
-use words::{chance, counted, duration};
+use std::collections::BTreeMap;
+use words::{chance, counted, duration, words};
 
-const STYLE: &str = include_str!("style.css");
+const STYLE: &str = concat!(
+    include_str!("../../../web/src/tokens.css"),
+    include_str!("style.css"),
+    include_str!("../../../web/src/report.css"),
+);
 
-/// The page.
+/// A powder's name by its id.
+type Named<'a> = &'a dyn Fn(&str) -> String;
+
+/// The page, from the report alone.
 pub fn html(report: &Report) -> String {
+    let headline = |sentence: &str| {
+        html! {
+            p.over { "FLIP · what the simulation gets wrong" }
+            h1 { (sentence) }
+        }
+    };
+    let title = format!("{} · FLIP investigation", badge(report.verdict).1);
+    let body = html! { main.report { (sections(report, &headline, &words)) } };
+    page(&title, STYLE, Some("light dark"), &body)
+}
+
+/// The sections, for a page with a heading of its own that knows the powders' names, by id.
+pub fn fragment(report: &Report, powders: &BTreeMap<String, String>) -> String {
+    let headline = |sentence: &str| html! { p.sentence { (sentence) } };
+    let named = |id: &str| powders.get(id).cloned().unwrap_or_else(|| words(id));
+    inert(sections(report, &headline, &named))
+}
+
+fn sections(report: &Report, headline: &dyn Fn(&str) -> Markup, named: Named) -> Markup {
     let parts = [
-        first(report),
-        sections::residuals(report),
-        sections::evidence(report),
-        sections::by_powder(report),
+        first(report, headline),
+        sections::residuals(report, named),
+        sections::evidence(report, named),
+        sections::by_powder(report, named),
         sections::beside(report),
         traces::traces(report),
         gain::before_after(report),
@@ -52,9 +80,7 @@ pub fn html(report: &Report) -> String {
         files::files(report),
         provenance(report),
     ];
-    let title = format!("{} · FLIP investigation", badge(report.verdict).1);
-    let body = html! { main { @for part in parts { "\n" (part) } "\n" } };
-    page(&title, STYLE, Some("light dark"), &body)
+    html! { @for part in parts { "\n" (part) } "\n" }
 }
 
 /// CSS class and wording of a verdict.
@@ -69,7 +95,7 @@ fn badge(verdict: Verdict) -> (&'static str, &'static str) {
 }
 
 /// Sentence, verdict and p-value, and the meaning of the verdict.
-fn first(report: &Report) -> Markup {
+fn first(report: &Report, headline: &dyn Fn(&str) -> Markup) -> Markup {
     let is_unjudged = report.unjudged.is_some() && report.verdict == Verdict::NoDiscrepancy;
     let (class, name) =
         if is_unjudged { ("doubt", "Could not be judged") } else { badge(report.verdict) };
@@ -78,8 +104,7 @@ fn first(report: &Report) -> Markup {
     let is_least = campaigns > 0 && report.p_value * (f64::from(campaigns) + 1.0) < 1.5;
     html! {
         section.first {
-            p.over { "FLIP · what the simulation gets wrong" }
-            h1 { (sentence) }
+            (headline(sentence))
             div.head {
                 span.badge.(class) { (name) }
                 @if !(is_unjudged && report.p_value >= 1.0) {

@@ -1,5 +1,6 @@
 //! The sections of a report below its sentence. A section without content is empty.
 
+use super::Named;
 use super::figures::{self, Sample, bar};
 use super::traces::is_of_traces;
 use super::words::{
@@ -83,7 +84,7 @@ fn covariates(report: &Report) -> Vec<&str> {
     order
 }
 
-pub fn residuals(report: &Report) -> Markup {
+pub fn residuals(report: &Report, named: Named) -> Markup {
     let order = covariates(report);
     let mut curves: Vec<_> = report.curves.iter().collect();
     curves.sort_by_key(|curve| {
@@ -113,7 +114,7 @@ pub fn residuals(report: &Report) -> Markup {
          a condition. Marks fall outside the band when a powder responds differently from the \
          average, or because of other conditions.",
         &html! {
-            (figures::legend(&figures::powders(&report.rows), &samples))
+            (figures::legend(&figures::powders(&report.rows), named, &samples))
             div.figures { @for figure in drawn.iter().take(FIGURES_MAX) { (figure) } }
             @if left_out > 0 {
                 p.note {
@@ -125,7 +126,7 @@ pub fn residuals(report: &Report) -> Markup {
     )
 }
 
-pub fn evidence(report: &Report) -> Markup {
+pub fn evidence(report: &Report, named: Named) -> Markup {
     let finite = |it: &f64| it.is_finite();
     let weights = || report.evidence.iter().map(|it| it.log10_evidence).filter(finite);
     let ends = (weights().fold(0.0, f64::min), weights().fold(1.0, f64::max));
@@ -160,7 +161,7 @@ pub fn evidence(report: &Report) -> Markup {
                 @let whole = if has_both { format!("{caption}: {of}") } else { caption.to_owned() };
                 (table(&whole, "evidence", &headings, rows))
             }
-            (causes(report))
+            (causes(report, named))
         },
     )
 }
@@ -194,12 +195,12 @@ fn untestable(it: &UntestableReport) -> Markup {
 }
 
 /// What is known of the probable causes; empty if nothing is wrong.
-fn causes(report: &Report) -> Markup {
+fn causes(report: &Report, named: Named) -> Markup {
     if report.verdict == Verdict::NoDiscrepancy {
         return html! {};
     }
     let probable = report.causes.iter().filter(|it| it.inclusion_probability >= TOLD);
-    let told: Vec<Markup> = probable.take(5).map(told).collect();
+    let told: Vec<Markup> = probable.take(5).map(|it| told(it, named)).collect();
     html! {
         @if !told.is_empty() {
             h3 { "The most probable causes" }
@@ -208,8 +209,8 @@ fn causes(report: &Report) -> Markup {
     }
 }
 
-fn told(it: &CauseReport) -> Markup {
-    let powders: Vec<String> = it.powders.iter().map(|name| words(name)).collect();
+fn told(it: &CauseReport, named: Named) -> Markup {
+    let powders: Vec<String> = it.powders.iter().map(|id| named(id)).collect();
     html! {
         li {
             strong { (cause(&it.mechanism)) }
@@ -229,7 +230,7 @@ fn fitted(it: &ParameterReport) -> Markup {
     }
 }
 
-pub fn by_powder(report: &Report) -> Markup {
+pub fn by_powder(report: &Report, named: Named) -> Markup {
     let findings: Vec<&Finding> =
         report.findings.iter().filter(|it| it.channel != Channel::Trace).collect();
     if findings.is_empty() {
@@ -258,7 +259,7 @@ pub fn by_powder(report: &Report) -> Markup {
     let mut rows: Vec<Markup> = powders
         .iter()
         .map(|powder| {
-            line(&words(powder), &|finding| {
+            line(&named(powder), &|finding| {
                 finding.by_powder.iter().find(|it| it.powder == *powder).cloned()
             })
         })

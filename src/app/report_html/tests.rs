@@ -1,8 +1,8 @@
 use super::figures::Scale;
-use super::html;
 use super::words::{
     cause, chance, column_with_unit, duration, interval, num, percent, signed, span, with_unit,
 };
+use super::{fragment, html};
 use crate::app::document::hostile::assert_inert;
 use flip_discover::numerics::{Dependence, Varied};
 use flip_discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
@@ -356,6 +356,7 @@ fn what_a_report_says_is_on_its_page() {
         between.contains("cannot distinguish between humidity and ageing since opening"),
         "{between}"
     );
+    assert!(between.contains(" The experiment below would be the most informative."), "{between}");
     let law = words_of(&html(&full(Verdict::Unexplained, "pressure_hpa")));
     assert!(
         law.contains("It depends on pressure. Its law (a straight line): pressure_hpa."),
@@ -419,4 +420,28 @@ fn ticks_are_round_and_on_the_scale() {
     );
     assert_eq!(written(30.0, 70.0), ["30", "40", "50", "60", "70"]);
     assert!(written(5.0, 5.0).contains(&"5.0".to_owned()));
+}
+
+#[test]
+fn the_page_calls_powders_by_their_registered_names() {
+    let names = BTreeMap::from([("salt".to_owned(), "Salt, 3-fold <sieved>".to_owned())]);
+    let page = fragment(&full(Verdict::Cause, "zeta"), &names);
+    assert_eq!(page.matches("Salt, 3-fold &lt;sieved&gt;").count(), 2, "legend and effects");
+    assert!(page.contains("Zeta") && !page.contains("<style") && !page.contains("<h1"));
+}
+
+/// The page's tests show what is rendered here: `UPDATE=1` writes it.
+#[test]
+fn the_page_is_tested_with_what_is_rendered() {
+    for name in ["cause", "nothing"] {
+        let file = format!("{}/web/tests/reports/{name}", env!("CARGO_MANIFEST_DIR"));
+        let report = std::fs::read(format!("{file}.json")).unwrap();
+        let report: Report = serde_json::from_slice(&report).unwrap();
+        let made = fragment(&report, &BTreeMap::new());
+        if std::env::var_os("UPDATE").is_some() {
+            std::fs::write(format!("{file}.html"), &made).unwrap();
+        }
+        let committed = std::fs::read_to_string(format!("{file}.html")).unwrap_or_default();
+        assert!(committed == made, "{name}.html is out of date: UPDATE=1 cargo test report_html");
+    }
 }
