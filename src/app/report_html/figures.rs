@@ -141,7 +141,9 @@ fn figure(caption: &str, summary: &str, height: f64, drawing: &Markup) -> Markup
     html! {
         figure {
             figcaption { (caption) }
-            svg viewBox={ "0 0 " (WIDTH) " " (height) } role="img" aria-label=(summary) { (drawing) }
+            svg viewBox={ "0 0 " (WIDTH) " " (height) } role="img" aria-label=(summary) {
+                (drawing)
+            }
         }
     }
 }

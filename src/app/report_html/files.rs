@@ -1,6 +1,6 @@
 //! How the files were read: how each column was interpreted, and what was left out.
 
-use super::sections::{left, right, row, section, table, wrapped};
+use super::table::{left, right, row, section, table, wrapped};
 use super::words::{column_with_unit, upper};
 use flip_discover::Report;
 use flip_discover::reading::{ColumnRead, FileRead, TakenAs};

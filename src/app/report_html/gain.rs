@@ -2,7 +2,7 @@
 //! file and on rows left out.
 
 use super::figures;
-use super::sections::{left, right, row, section, table};
+use super::table::{left, right, row, section, table};
 use super::words::{interval, num, percent, signed, with_unit};
 use flip_discover::report::{Gain, HeldOut, Report};
 use maud::{Markup, html};

@@ -5,10 +5,12 @@
 //! mod.rs         the page: sentence and verdict first, provenance last
 //! meaning.rs     what a verdict says, and what it does not
 //! sections.rs    what stands between them
+//! evidence.rs    how well each cause explains the data
 //! gain.rs        before and after
 //! traces.rs      what balance readings say by themselves
 //! files.rs       how the files were read
 //! figures.rs     SVG
+//! table.rs       headings, tables, rows
 //! words.rs       names, numbers and units
 //! style.css      the file around the sections, on a screen, a phone and paper
 //! ```
@@ -16,11 +18,13 @@
 //! The sections' style and the colours are the page's: `web/src/report.css`, `web/src/tokens.css`.
 //! The same report always gives the same bytes.
 
+mod evidence;
 mod figures;
 mod files;
 mod gain;
 mod meaning;
 mod sections;
+mod table;
 mod traces;
 mod words;
 
@@ -68,7 +72,7 @@ fn sections(report: &Report, headline: &dyn Fn(&str) -> Markup, named: Named) ->
     let parts = [
         first(report, headline),
         sections::residuals(report, named),
-        sections::evidence(report, named),
+        evidence::evidence(report, named),
         sections::by_powder(report, named),
         sections::beside(report),
         traces::traces(report),
@@ -152,7 +156,7 @@ fn provenance(report: &Report) -> Markup {
         facts.push(("Run time", html! { (duration(report.wall_s)) }));
     }
     facts.push(("Document version", html! { (report.schema_version) }));
-    sections::section(
+    table::section(
         "Provenance",
         "The same file, settings and seed reproduce this report. All numbers are in report.json.",
         &html! {

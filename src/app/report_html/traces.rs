@@ -1,7 +1,8 @@
 //! Findings on balance readings alone.
 
 use super::figures;
-use super::sections::{experiment_card, left, right, row, section, table};
+use super::sections::experiment_card;
+use super::table::{left, right, row, section, table};
 use super::words::{chance, counted, interval, num, signed, with_unit};
 use flip_discover::report::{Channel, Finding, NullCheck, Report};
 use flip_discover::traces::{TraceMechanism, WANDER};
@@ -41,9 +42,14 @@ pub fn traces(report: &Report) -> Markup {
             @if let Some(why) = &it.unjudged {
                 p { "The powder that the spoon releases was not judged: " (why) "." }
             }
-            @if !found.is_empty() { (table("Changes of the balance readings", "", &headings, &found)) }
+            @if !found.is_empty() {
+                (table("Changes of the balance readings", "", &headings, &found))
+            }
             (null(&it.null_check))
-            @if let Some(own) = own { h3 { "The next control" } (experiment_card(own, "Runs of the next control")) }
+            @if let Some(own) = own {
+                h3 { "The next control" }
+                (experiment_card(own, "Runs of the next control"))
+            }
         },
     )
 }
