@@ -30,6 +30,8 @@ COPY examples examples
 COPY experiments experiments
 COPY crates crates
 COPY src src
+# The style of reports is the page's.
+COPY web/src/tokens.css web/src/report.css web/src/
 COPY --from=page /flip/web/dist web/dist
 COPY --from=page /flip/web/docs-dist web/docs-dist
 RUN cargo build --release --locked --bin flip

@@ -56,7 +56,7 @@ const EXCEPTIONS: [(&str, &[&str]); 1] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 25] = [
+const CONFINED: [(&str, &[&str]); 26] = [
     ("sqlx::", &["store"]),
     ("axum::", &["api"]),
     ("hyper_util::", &["api", "hardware", "emulate"]),
@@ -73,6 +73,7 @@ const CONFINED: [(&str, &[&str]); 25] = [
     ("tower_http::", &["api"]),
     ("tch::", &["train"]),
     ("csv::", &["app"]),
+    ("maud::", &["app"]),
     ("rayon::", &["calibrate", "discover", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),

@@ -156,9 +156,8 @@ async fn holder(app: &App, authorization: &HeaderValue) -> Result<Caller, Proble
         Some(holder) => Some(holder),
         None => app.authenticate_late(secret).await,
     };
-    let holder = holder.ok_or_else(|| {
-        Problem::unauthorized("the token is not known, has expired or was revoked")
-    })?;
+    let holder = holder
+        .ok_or_else(|| Problem::unauthorized("the token is unknown, has expired or was revoked"))?;
     Ok(Caller::Holder(holder))
 }
 

@@ -130,7 +130,7 @@ impl Streams {
     pub fn take(&self, connection: &Connection, anonymous: bool) -> Result<StreamSeat, Problem> {
         let refused = match connection.streams() > STREAMS_CONNECTION {
             true => Some(Problem::too_many(format!(
-                "this connection follows {STREAMS_CONNECTION} streams already: end some, or follow GET /v1/events, which tells of everything"
+                "this connection follows {STREAMS_CONNECTION} streams already: close some, or follow GET /v1/events, which has every event"
             ))),
             false => self.open().refusal(connection.peer, anonymous),
         };
@@ -154,11 +154,11 @@ impl Open {
     fn refusal(&self, peer: IpAddr, anonymous: bool) -> Option<Problem> {
         let of_peer = self.by_peer.get(&peer).copied().unwrap_or(0);
         if !peer.is_loopback() && of_peer >= STREAMS_PEER {
-            let advice = "streams of events are open from this address already: end some, or follow GET /v1/events once";
+            let advice = "event streams are already open from this address: close some, or follow GET /v1/events once";
             return Some(Problem::too_many(format!("{STREAMS_PEER} {advice}")));
         }
         let full = self.all >= STREAMS || anonymous && self.anonymous >= STREAMS_ANONYMOUS;
-        let advice = "too many streams of events are open: end some, come with a token, or read GET /v1/weighings/{id} and /v1/jobs/{id}";
+        let advice = "too many event streams are open: close some, send a token, or read GET /v1/weighings/{id} and /v1/jobs/{id}";
         full.then(|| Problem::unavailable(advice))
     }
 

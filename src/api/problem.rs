@@ -98,7 +98,7 @@ impl Problem {
 
     /// 409: conflicts with the current state; `code` names how.
     pub fn conflict(code: &str, detail: impl Into<String>) -> Self {
-        Self::new(StatusCode::CONFLICT, code, "In conflict with the present state", detail)
+        Self::new(StatusCode::CONFLICT, code, "Conflicts with the present state", detail)
     }
 
     /// 410: it was stored, and can no longer be read.
@@ -111,7 +111,7 @@ impl Problem {
         Self::new(
             StatusCode::REQUEST_TIMEOUT,
             "too-slow",
-            "The request did not come in time",
+            "The request did not arrive in time",
             detail,
         )
     }
@@ -151,7 +151,7 @@ impl Problem {
     /// 500: our fault; the cause is logged under the request's id.
     pub fn internal() -> Self {
         let detail =
-            "the request failed for a reason of ours; the log tells it under this instance";
+            "the request failed on the server's side; the log has the cause under this instance";
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "Internal error", detail)
     }
 

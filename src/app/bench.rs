@@ -211,12 +211,13 @@ impl App {
         let bench = self.jobs_or_refuse()?.bench();
         let Standing { moving, unwritten, .. } = bench.standing();
         if let Some(moving) = moving {
-            let advice = format!("weighing {moving} moves: stop it, and look when it has ended");
+            let advice =
+                format!("weighing {moving} is moving: stop it, and look when it has ended");
             return Err(Error::conflict("bench_not_latched", advice));
         }
         if let Some(unwritten) = unwritten {
             let advice = format!(
-                "the end of weighing {} is not written down yet: {}",
+                "the end of weighing {} is not recorded yet: {}",
                 unwritten.weighing, unwritten.why
             );
             return Err(Error::conflict("ending_unwritten", advice));
@@ -289,7 +290,7 @@ impl App {
         let measured: Option<(_, ShakeCalibration)> =
             self.store().newest_check(CheckKind::Shakes).await?;
         let advice =
-            "the arm's shakes were not measured yet: run `flip bench calibrate-shake` first";
+            "the arm's shakes have not been measured yet: run `flip bench calibrate-shake` first";
         measured
             .map(|(_, calibration)| calibration)
             .ok_or_else(|| Error::conflict("shakes_not_calibrated", advice))
@@ -359,8 +360,7 @@ impl App {
             text.len() == 64 && text.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'))
         };
         if hash.is_some_and(|hash| !is_hash(hash)) {
-            let advice =
-                "must be 64 hexadecimal digits in lower case, as a certificate prints them";
+            let advice = "must be 64 hexadecimal digits in lower case, as printed on a certificate";
             return Err(FieldError::new("hash", advice).into());
         }
         Ok(self.store().verify_audit(hash).await?)
@@ -371,7 +371,7 @@ impl App {
 pub(super) fn stopped_meanwhile(advice: &str) -> Error {
     Error::conflict(
         "stopped_meanwhile",
-        format!("the bench was stopped after this was asked: {advice}"),
+        format!("the bench was stopped after this was requested: {advice}"),
     )
 }
 

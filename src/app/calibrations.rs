@@ -139,10 +139,10 @@ impl App {
         };
         let given = request.observations.as_ref().unwrap_or(&registered);
         if method != Method::Emulator && !given.is_empty() {
-            return refuse("are for the method `emulator`: leave them out, or take that method");
+            return refuse("are for the method `emulator`: leave them out, or choose that method");
         }
         if given.len() > OBSERVATIONS_MAX {
-            return refuse("must be at most 8: name those that count, each costs minutes");
+            return refuse("must be at most 8, since each costs minutes: name those that matter");
         }
         let checked = given.iter().enumerate().map(|(k, observation)| {
             observation.checked().map_err(|error| {
@@ -157,7 +157,7 @@ impl App {
         &self,
         request: &CalibrationRequest,
     ) -> Result<(Option<String>, Flowability)> {
-        let only_one = "name a powder, or a `repose_deg` to aim at without one, and not both";
+        let only_one = "give either a powder, or a `repose_deg` to aim at without one";
         let stray = request.sd_deg.map(|_| "sd_deg").or(request.n.map(|_| "n"));
         match (&request.powder, request.repose_deg) {
             (Some(_), None) if stray.is_some() => {

@@ -235,7 +235,7 @@ fn slips(names: &[String], check: &mut Check) {
         if let Some(column) = missing.find(|column| strsim::osa_distance(&written, column) <= slips)
         {
             let advice = format!(
-                "is nearly `{column}`, which the file lacks: write that, or a name that is less like it"
+                "is almost `{column}`, which the file lacks: write that, or a name less like it"
             );
             check.refuse(name, advice);
         }
@@ -253,7 +253,7 @@ fn days_without_session(names: &[&str], lines: &[Line<'_>], refusals: &mut Vec<F
         if filled.peek().is_some()
             && filled.all(|cell| matches!(cell.told, Told::Text(text) if day(text).is_some()))
         {
-            let advice = "holds days, and no column is called `session`: call this one so, or differences between days pass for effects";
+            let advice = "holds dates, but no column is called `session`: rename this one to `session`, or differences between days are taken for effects";
             refusals.push(FieldError::new(*name, advice));
         }
     }
@@ -265,7 +265,7 @@ fn check_header(names: &[String], check: &mut Check) {
     for name in names.iter().filter(|name| is_again(name)) {
         check.refuse(
             name,
-            "is a column that stands twice, or a repeat beside another one: write one run a row",
+            "is a column given twice, or one of several repeats in a row: write one run per row",
         );
     }
     if !names.iter().all(|name| is_name(name)) {
@@ -387,7 +387,7 @@ fn angle(cells: &Cells<'_>) -> std::result::Result<Option<Flowability>, FieldErr
         (Some(_), _) => refused("n", &format!("must be from 1 to {REPEATS_MAX} repeats")),
         (None, Some(_)) => refused(
             "repose_sd_deg",
-            "belongs to a summary: fill `n` too, or leave it empty for a single run",
+            "belongs to a summary: fill in `n` too, or leave it empty for a single run",
         ),
     }
 }
@@ -406,7 +406,7 @@ fn bounded(lines: &[Line<'_>]) -> Result<()> {
         runs += line.runs();
         if runs > RUNS_MAX {
             let advice = format!(
-                "brings the runs, those behind summaries counted, above {RUNS_MAX}, the most that are looked at together: leave rows out"
+                "brings the number of runs, including those behind summaries, above the limit of {RUNS_MAX}: leave rows out"
             );
             return Err(FieldError::new(format!("row[{}]", line.row), advice).into());
         }

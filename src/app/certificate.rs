@@ -3,15 +3,12 @@
 //! It states what was measured and where the record of it is; it claims no compliance with
 //! anything.
 
+use super::document::page;
 use super::{App, Error, Result, WeighingDetail};
 use flip_core::domain::weighing::{MeasuredMass, Outcome};
 use flip_store::audit::AuditRecord;
 use flip_store::weighings::Weighing;
-use std::fmt::Write;
-
-/// Content security policy: the page's own style, and nothing else.
-pub const POLICY: &str =
-    "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'";
+use maud::{Markup, html};
 
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:46rem;padding:0 1rem;color:#111;background:#fff}\
 h1{font-size:1.4rem;margin:0}h2{font-size:1rem;margin:1.6rem 0 .3rem}table{border-collapse:collapse;width:100%}\
@@ -28,7 +25,7 @@ impl App {
         let mut detail = self.weighing(id).await?;
         if detail.weighing.outcome.is_none() {
             let advice =
-                format!("weighing {id} has not ended: its certificate can be printed when it has");
+                format!("weighing {id} has not ended: its certificate can be printed once it has");
             return Err(Error::conflict("weighing_unfinished", advice));
         }
         let mut record = Recorded::default();
@@ -39,7 +36,7 @@ impl App {
             None => record.unrecorded = true,
         }
         self.export_audit(Some(id), |it| record.add(it)).await?;
-        Ok(html(&detail, &record))
+        Ok(certificate(&detail, &record))
     }
 
     /// The recorded outcome of a weighing that has ended; `None` for weighings that predate the
@@ -51,7 +48,7 @@ impl App {
             (None, said) => Ok(said),
             (Some(changed), _) => {
                 let advice = format!(
-                    "weighing {id} is not certified: {}. `flip audit verify` goes through the whole record; a backup may hold what was written",
+                    "weighing {id} is not certified: {}. `flip audit verify` checks the whole record; a backup may hold what was written",
                     changed.why
                 );
                 Err(Error::conflict("record_differs", advice))
@@ -95,54 +92,46 @@ impl Recorded {
         rows.extend(self.last.iter().flat_map(|last| {
             [
                 ("Last record", format!("{} of {}", last.seq, last.at)),
-                ("Hash up to there", last.hash.clone()),
+                ("Hash up to that record", last.hash.clone()),
             ]
         }));
-        rows.extend(self.asked_by.iter().map(|who| ("Asked for with the token of", who.clone())));
+        rows.extend(self.asked_by.iter().map(|who| ("Requested with the token of", who.clone())));
         rows
     }
 }
 
 /// The page; the same weighing always gives the same bytes.
-fn html(detail: &WeighingDetail, record: &Recorded) -> String {
+fn certificate(detail: &WeighingDetail, record: &Recorded) -> String {
     let weighing = &detail.weighing;
-    let mut body = format!(
-        "<h1>Weighing certificate</h1><p class=\"big\">{}</p>{}",
-        result(weighing),
-        all_warnings(detail, record)
-            .iter()
-            .map(|text| format!("<p class=\"warn\">{}</p>", escaped(text)))
-            .collect::<String>()
-    );
-    section(&mut body, "What was asked", &asked(weighing));
-    section(&mut body, "What was measured", &measured(weighing));
-    section(&mut body, "With what", &provenance(weighing));
-    section(&mut body, "Record", &record.rows());
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n<meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n<title>Weighing {} · FLIP</title>\n<style>{STYLE}</style>\n</head>\n\
-         <body>\n{body}<footer>Made by FLIP {}. It states what was measured and recorded; it does not claim compliance with any regulation. \
-         `flip audit verify --hash HASH` checks the record.</footer>\n</body>\n</html>\n",
-        escaped(&weighing.id),
-        env!("CARGO_PKG_VERSION")
-    )
+    let body = html! {
+        h1 { "Weighing certificate" }
+        p.big { (result(weighing)) }
+        @for warning in all_warnings(detail, record) { p.warn { (warning) } }
+        (section("Request", &asked(weighing)))
+        (section("Result", &measured(weighing)))
+        (section("Provenance", &provenance(weighing)))
+        (section("Record", &record.rows()))
+        footer {
+            "Made by FLIP " (env!("CARGO_PKG_VERSION")) ". It states what was measured and recorded; "
+            "it does not claim compliance with any regulation. "
+            "`flip audit verify --hash HASH` checks the record."
+        }
+    };
+    page(&format!("Weighing {} · FLIP", weighing.id), STYLE, None, &body)
 }
 
-fn section(body: &mut String, title: &str, rows: &[(&str, String)]) {
-    if rows.is_empty() {
-        return;
+fn section(title: &str, rows: &[(&str, String)]) -> Markup {
+    html! {
+        @if !rows.is_empty() {
+            h2 { (title) }
+            table { @for (name, value) in rows { tr { th scope="row" { (name) } td { (value) } } } }
+        }
     }
-    let _infallible = write!(body, "<h2>{title}</h2><table>");
-    for (name, value) in rows {
-        let _infallible =
-            write!(body, "<tr><th scope=\"row\">{name}</th><td>{}</td></tr>", escaped(value));
-    }
-    body.push_str("</table>");
 }
 
 /// The net mass with its uncertainty, or a statement that there is none.
 fn result(weighing: &Weighing) -> String {
-    let powder = escaped(&weighing.powder);
+    let powder = &weighing.powder;
     match (&weighing.measured, weighing.reading_mg) {
         (Some(measured), _) => {
             format!(
@@ -162,11 +151,10 @@ fn result(weighing: &Weighing) -> String {
 fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
     let mut all = warnings(&detail.weighing);
     all.extend(detail.trace_lost.clone());
-    all.extend(record.lost.iter().map(|why| format!("A part of its record is lost: {why}.")));
+    all.extend(record.lost.iter().map(|why| format!("Part of its record is lost: {why}.")));
     if record.unrecorded {
         all.push(
-            "It ended before FLIP kept a record: what is printed here is proven by nothing."
-                .to_owned(),
+            "It ended before FLIP kept a record: nothing printed here can be verified.".to_owned(),
         );
     }
     all
@@ -177,18 +165,14 @@ fn warnings(weighing: &Weighing) -> Vec<String> {
     let mut all = Vec::new();
     let told = |outcome: Outcome| match outcome {
         Outcome::Within => None,
-        Outcome::Under => Some("The dose is short of the target beyond its tolerance."),
-        Outcome::Over => {
-            Some("The dose is above the target beyond its tolerance: powder cannot be taken back.")
-        }
-        Outcome::NotStable => {
-            Some("The balance did not come to rest: the mass is not to be relied on.")
-        }
-        Outcome::Blocked => Some("Nothing more left the spoon."),
+        Outcome::Under => Some("The dose is below the target by more than the tolerance."),
+        Outcome::Over => Some("The dose is above the target by more than the tolerance."),
+        Outcome::NotStable => Some("The balance did not settle: do not rely on the mass."),
+        Outcome::Blocked => Some("No more powder left the spoon."),
         Outcome::Stopped => Some("The weighing was stopped."),
         Outcome::Aborted => Some("The weighing was aborted."),
         Outcome::Unknown => {
-            Some("The process ended during the weighing: what lies in the vial is not known.")
+            Some("The process ended during the weighing: the content of the vial is not known.")
         }
     };
     all.extend(weighing.outcome.and_then(told).map(str::to_owned));
@@ -196,21 +180,21 @@ fn warnings(weighing: &Weighing) -> Vec<String> {
     if let Some(measured) = &weighing.measured {
         if measured.proven == Some(false) {
             all.push(format!(
-                "Not proven: with its uncertainty of {} mg the net mass may lie on either side of a limit of the tolerance.",
+                "Not proven: with its uncertainty of {} mg, the net mass may lie on either side of a tolerance limit.",
                 digits(measured.uncertainty_mg)
             ));
         }
         match (measured.below_minimum_weight, measured.minimum_mg) {
             (Some(true), Some(minimum)) => all.push(format!(
-                "Below the minimum weight of this balance, {} mg at the accuracy asked for: not accurately weighed in the sense of USP <41>.",
+                "Below the minimum weight of this balance, {} mg at the required accuracy: not accurately weighed in the sense of USP <41>.",
                 digits(minimum)
             )),
-            (None, _) => all.push("The balance's repeatability was not checked: its minimum weight is not known.".to_owned()),
+            (None, _) => all.push("The balance's repeatability was not checked, so its minimum weight is not known.".to_owned()),
             _ => {}
         }
         if !(measured.stable_by_balance && measured.stable_by_window) {
             all.push(
-                "The last reading was not stable by both the balance's flag and our own window."
+                "The last reading was not stable by both the balance's flag and FLIP's own window."
                     .to_owned(),
             );
         }
@@ -235,10 +219,10 @@ fn asked(weighing: &Weighing) -> Vec<(&'static str, String)> {
     let mut more = |name, value: Option<String>| rows.extend(value.map(|value| (name, value)));
     more("Lot", asked.lot.clone());
     more("Vial", asked.vial.clone());
-    more("Asked for by", asked.operator.clone());
+    more("Requested by", asked.operator.clone());
     more("Temperature", asked.temperature_c.map(|c| format!("{c} °C")));
     more("Relative humidity", asked.relative_humidity_pct.map(|pct| format!("{pct} %")));
-    more("Accuracy asked for", asked.accuracy_pct.map(|pct| format!("{pct} %")));
+    more("Required accuracy", asked.accuracy_pct.map(|pct| format!("{pct} %")));
     rows
 }
 
@@ -246,8 +230,10 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
     let mut rows = vec![("Outcome", outcome(weighing))];
     let Some(it) = &weighing.measured else { return rows };
     let mg = |value: Option<f64>| {
-        value
-            .map_or_else(|| "not told by the balance".to_owned(), |mg| format!("{} mg", digits(mg)))
+        value.map_or_else(
+            || "not reported by the balance".to_owned(),
+            |mg| format!("{} mg", digits(mg)),
+        )
     };
     rows.extend([
         ("Gross", mg(it.gross_mg)),
@@ -263,18 +249,18 @@ fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
             ),
         ),
         (
-            "Stable by the balance / by our window",
+            "Stable by the balance / by FLIP's window",
             format!("{} / {}", yes(it.stable_by_balance), yes(it.stable_by_window)),
         ),
     ]);
     rows.extend(
-        weighing.error_mg.map(|mg| ("Error (net less target)", format!("{} mg", digits(mg)))),
+        weighing.error_mg.map(|mg| ("Error (net minus target)", format!("{} mg", digits(mg)))),
     );
     rows.extend(drift(it));
     rows.extend(weighing.shakes.map(|n| ("Shakes", n.to_string())));
     rows.extend(weighing.seconds.map(|s| ("Time on the bench", format!("{s:.1} s"))));
     let thrown = it.discarded_mg.iter().map(|mg| digits(*mg)).collect::<Vec<_>>().join(", ");
-    rows.extend((!thrown.is_empty()).then_some(("Thrown away before, mg", thrown)));
+    rows.extend((!thrown.is_empty()).then_some(("Discarded before, mg", thrown)));
     rows
 }
 
@@ -293,7 +279,7 @@ fn provenance(weighing: &Weighing) -> Vec<(&'static str, String)> {
         let named = |(role, name): (&String, &String)| format!("{role}: {name}");
         rows.push(("Devices", measured.devices.iter().map(named).collect::<Vec<_>>().join("; ")));
     }
-    rows.push(("Intent committed", weighing.created_at.to_string()));
+    rows.push(("Request recorded", weighing.created_at.to_string()));
     rows.extend(weighing.started_at.map(|at| ("Armed", at.to_string())));
     rows.extend(weighing.finished_at.map(|at| ("Ended", at.to_string())));
     rows
@@ -324,16 +310,17 @@ fn digits(value: f64) -> String {
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::document::hostile::assert_inert;
     use super::*;
     use serde_json::{Value, json};
 
     fn page(weighing: Value) -> String {
+        page_of(weighing, &Recorded::default())
+    }
+
+    fn page_of(weighing: Value, record: &Recorded) -> String {
         let mut all = json!({
             "id": "w", "powder": "salt", "target_mg": 10.0, "tolerance_lower_mg": 1.0, "tolerance_upper_mg": 1.0, "policy": "p",
             "parameter_set": "ps", "seed": 1, "state": "done", "outcome": "within", "dispensed_mg": 8.2, "reading_mg": 9.3, "error_mg": -0.7,
@@ -344,10 +331,8 @@ mod tests {
         };
         all_fields.extend(fields);
         let weighing = serde_json::from_value(all).unwrap();
-        html(
-            &WeighingDetail { weighing, ticks: Vec::new(), trace_lost: None },
-            &Recorded::default(),
-        )
+        let detail = WeighingDetail { weighing, ticks: Vec::new(), trace_lost: None };
+        certificate(&detail, record)
     }
 
     fn measured(proven: bool) -> Value {
@@ -369,6 +354,26 @@ mod tests {
             "{open}"
         );
         assert!(!proven.to_lowercase().contains("not proven"), "{proven}");
+    }
+
+    #[test]
+    fn no_name_on_a_certificate_is_markup() {
+        assert_inert(|name| {
+            let mut all = measured(false);
+            all["measured"]["devices"] = json!({ "balance": name });
+            for field in ["id", "powder", "policy", "error"] {
+                all[field] = name.into();
+            }
+            for field in ["lot", "vial", "operator"] {
+                all["asked"][field] = name.into();
+            }
+            let record = Recorded {
+                asked_by: Some(name.to_owned()),
+                lost: vec![name.to_owned()],
+                ..Recorded::default()
+            };
+            page_of(all, &record)
+        });
     }
 
     #[test]

@@ -59,7 +59,7 @@ impl App {
             && self.store().simulator(id).await?.is_none()
         {
             let advice = format!(
-                "must be `{BASE}` or a version that is there, got `{id}`: `flip discover versions` lists them"
+                "must be `{BASE}` or an existing version, got `{id}`: `flip discover versions` lists them"
             );
             return Err(FieldError::new("simulator", advice).into());
         }
@@ -79,7 +79,7 @@ impl App {
         }
         match self.current_simulator().await?.simulator {
             base if base == BASE => {
-                let advice = "is the base now, which has one angle for each powder whatever the conditions: name a version, `sv-…`";
+                let advice = "is the base now, which gives each powder the same angle under all conditions: name a version, `sv-…`";
                 Err(FieldError::new("simulator", advice).into())
             }
             version => self.simulator(&version).await,

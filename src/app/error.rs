@@ -29,7 +29,7 @@ pub enum Error {
     },
     /// The Idempotency-Key was used before with another body.
     #[error(
-        "the Idempotency-Key `{key}` belongs to weighing {weighing}, which was asked for with another body: use a new key for a new weighing"
+        "the Idempotency-Key `{key}` belongs to weighing {weighing}, which was requested with another body: use a new key for a new weighing"
     )]
     Unprocessable {
         /// The key.
@@ -98,7 +98,7 @@ impl From<store::Error> for Error {
     fn from(error: store::Error) -> Self {
         match error {
             store::Error::ReadOnly => Self::Unavailable(
-                "the data folder was opened to read only because `flip serve` holds it: ask the server instead".into(),
+                "the data folder was opened for reading only, because `flip serve` holds it: use the server instead".into(),
             ),
             store::Error::Locked
             | store::Error::Archiving
@@ -107,7 +107,7 @@ impl From<store::Error> for Error {
             | store::Error::Disk(_)
             | store::Error::Gone(_) => Self::Unavailable(error.to_string()),
             error if error.is_closed() => {
-                Self::Unavailable("FLIP is shutting down: ask again after the restart".into())
+                Self::Unavailable("FLIP is shutting down: try again after the restart".into())
             }
             other => Self::Internal(Box::new(other)),
         }

@@ -35,7 +35,7 @@ pub(super) fn to_percent(
         return Ok(None);
     }
     if bare.iter().any(|(_, value)| *value > 1.0) {
-        let advice = "is a fraction among per cents: write 41, or 0.41 % where the air is that dry";
+        let advice = "is a fraction among percentages: write 41, or 0.41 % if the air is that dry";
         return Err(low.into_iter().map(|k| at(row(k), column, advice)).collect());
     }
     bare.iter().for_each(|(k, value)| values[*k] = Some(100.0 * value));

@@ -6,7 +6,7 @@ use super::check::Check;
 use super::csv_file::date::DateOrder;
 use super::jobs::{corrupt, specification, stored};
 use super::trace_csv::{self, TracesRead};
-use super::{App, Error, Result};
+use super::{App, Error, Result, report_html};
 use crate::jobs::{Heaps, InvestigationSpec, JobSpec, SIMULATOR};
 use flip_core::domain::FieldError;
 use flip_core::domain::job::JobKind;
@@ -242,6 +242,16 @@ impl App {
             );
             Error::conflict("investigation_unfinished", advice)
         })
+    }
+
+    /// The report's sections as HTML, with the registered names of powders.
+    ///
+    /// # Errors
+    /// As [`Self::predictions`].
+    pub async fn report_fragment(&self, id: &str) -> Result<String> {
+        let report = self.report(id).await?;
+        let powders = self.store().powder_names().await?.into_iter().collect();
+        Ok(report_html::fragment(&report, &powders))
     }
 }
 

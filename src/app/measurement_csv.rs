@@ -155,7 +155,7 @@ fn check_header(header: &[String], check: &mut Check) {
         let meant = did_you_mean(name, COLUMNS);
         check.refuse(
             name,
-            format!("is no column that is known here{meant}; these are: {}", COLUMNS.join(", ")),
+            format!("is not a known column{meant}; the columns are: {}", COLUMNS.join(", ")),
         );
     }
 }
@@ -208,13 +208,13 @@ impl Row<'_> {
         if given.is_empty() {
             check.refuse(
                 &format!("row[{row}]"),
-                format!("holds no measured value: fill one of {values}"),
+                format!("has no measured value: fill in one of {values}"),
             );
         }
         if self.cells.holds(ANGLE.value) && self.cells.holds(HEAP.value) {
             check.refuse(
                 &format!("row[{row}].height_mm"),
-                "stands beside `repose_deg`, which is the same angle: leave one empty",
+                "is the same angle as `repose_deg`: leave one of them empty",
             );
         }
         for column in COLUMNS.iter().filter(|column| self.cells.holds(column)) {
@@ -249,7 +249,7 @@ impl Row<'_> {
                     row,
                     "n",
                     format!(
-                        "does not go with {}, which is one heap: leave it empty",
+                        "cannot be given with {}, which is of a single heap: leave it empty",
                         quantity.value
                     ),
                 ));
@@ -261,7 +261,7 @@ impl Row<'_> {
                 return Err(at(
                     row,
                     column,
-                    "belongs to a summary: fill `n` too, or leave it empty for a single repeat",
+                    "belongs to a summary: fill in `n` too, or leave it empty for a single repeat",
                 ));
             }
             (false, _) => 0.0,
@@ -398,7 +398,7 @@ impl Group {
                 Value::Angle(method, Flowability::of_repeats("repeats", &repeats).map_err(renamed)?)
             }
             (None, Subject::Observed(_)) if repeats.len() < 2 => {
-                let advice = "is the only repeat of its experiment: two at least are needed to know their spread, or a summary with `n`";
+                let advice = "is the only repeat of its experiment: give at least two, to know their spread, or a summary with `n`";
                 return Err(at(row, column, advice));
             }
             (None, Subject::Observed(observable)) => {

@@ -121,7 +121,7 @@ impl NewMeasurement {
         let stray = |given: &[(&str, bool)], form: &str| {
             let stray = given.iter().find(|(_, is_given)| *is_given);
             stray.map_or(Ok(()), |(field, _)| {
-                Err(FieldError::new(*field, format!("does not go with {form}: leave one out")))
+                Err(FieldError::new(*field, format!("cannot be given with {form}: leave one out")))
             })
         };
         let summary = [
@@ -299,7 +299,7 @@ impl App {
                 }
                 Registered::Another(other) => {
                     let advice = format!(
-                        "makes the id {made}, which is `{other}`: write the id if it is that powder"
+                        "gives the id {made}, which belongs to `{other}`: write the id if it is that powder"
                     );
                     check.refuse(&format!("row[{row}].powder"), advice);
                 }

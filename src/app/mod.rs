@@ -13,6 +13,7 @@ mod comparison;
 mod counts;
 mod csv_file;
 mod current_simulator;
+pub mod document;
 mod error;
 mod evaluations;
 mod events;

@@ -22,7 +22,7 @@ impl PowderNames {
     pub fn id_of(&mut self, row: usize, text: &str) -> Result<String, FieldError> {
         if is_summary(text) {
             let advice = format!(
-                "`{text}` is no powder but what was computed of the rows above: leave the row out"
+                "`{text}` is not a powder but a summary of the rows above: leave the row out"
             );
             return Err(at(row, "powder", advice));
         }
@@ -36,7 +36,7 @@ impl PowderNames {
             return Ok(id);
         }
         let advice = format!(
-            "`{text}` makes the id {id}, as `{known}` of row {before} does: write one powder in one way, or ids"
+            "`{text}` gives the id {id}, as `{known}` in row {before} does: write each powder in one way, or use ids"
         );
         Err(at(row, "powder", advice))
     }

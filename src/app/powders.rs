@@ -67,7 +67,7 @@ impl App {
         let mut tx = self.store().write().await?;
         let Some(created_at) = tx.insert_powder(&id, &new.name).await? else {
             let advice = format!(
-                "powder `{id}` exists already: add measurements to it, or choose another id"
+                "powder `{id}` already exists: add measurements to it, or choose another id"
             );
             return Err(Error::conflict("powder_exists", advice));
         };

@@ -17,7 +17,7 @@ pub(super) fn check(
     let mut check = Check::default();
     if lower_mg >= target_mg {
         let advice = format!(
-            "must be less than the target, {target_mg} mg: an empty vial would be within, got {lower_mg} mg"
+            "must be less than the target, {target_mg} mg, or an empty vial would be within tolerance; got {lower_mg} mg"
         );
         check.refuse("tolerance.lower", advice);
     }
@@ -26,7 +26,7 @@ pub(super) fn check(
         _ if band_mg <= 0.0 => {
             check.refuse(
                 "tolerance.upper",
-                "must be above 0 where the lower one is 0: no balance shows a mass exactly",
+                "must be above 0 if the lower tolerance is 0: no balance shows a mass exactly",
             );
         }
         Some(step_mg) if band_mg < step_mg * (1.0 - 1e-9) => {

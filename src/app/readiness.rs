@@ -86,7 +86,7 @@ impl App {
         if let Some(it) = standing.unwritten {
             let since = it.since;
             return Some(format!(
-                "the end of weighing {} could not be written down since {since}: {}",
+                "the end of weighing {} could not be recorded since {since}: {}",
                 it.weighing, it.why
             ));
         }

@@ -112,7 +112,7 @@ impl App {
         let jobs = self.jobs_or_refuse()?;
         let bench = jobs.bench().kind();
         if jobs.bench().stand().is_none() {
-            let advice = "the simulated bench has no gate and no camera: start FLIP with `--bench emulated` or with the file of a bench";
+            let advice = "the simulated bench has no gate and no camera: start FLIP with `--bench emulated` or with a bench file";
             return Err(Error::conflict("no_stand", advice));
         }
         self.check_reservation(request.reservation.as_deref())?;
@@ -234,7 +234,7 @@ impl App {
 }
 
 fn no_pile_waits() -> Error {
-    let advice = "no pile of this measurement waits for frames: its `awaits` says when one does";
+    let advice = "no pile of this measurement is waiting for frames: `awaits` says when one is";
     Error::conflict("no_pile_waits", advice)
 }
 

@@ -61,7 +61,7 @@ impl App {
         let refuse = |message: String| Err(FieldError::new("simulator", message).into());
         let Some(version) = self.store().simulator(id).await? else {
             return refuse(format!(
-                "there is no version `{id}`: GET /v1/simulators or `flip discover versions` lists them, `base` is the one without any"
+                "there is no version `{id}`: GET /v1/simulators or `flip discover versions` lists them; `base` is the simulator without extensions"
             ));
         };
         if version.base != SIMULATOR {
@@ -116,7 +116,7 @@ fn lacking(report: &Report, new: &Campaign, version: &str) -> Result<()> {
         [] => Ok(()),
         missing => {
             let advice = format!(
-                "lacks {}, through which {version} acts: add what it was in each row",
+                "lacks {}, on which {version} depends: add its value in each row",
                 missing.join(", ")
             );
             Err(FieldError::new("measurements", advice).into())

@@ -207,7 +207,7 @@ fn line(cells: &Cells<'_>, powders: &mut PowderNames) -> Refused<Line> {
     let stood = stable(cells.text("stable"));
     if cells.holds("stable") && stood.is_none() {
         let advice = format!(
-            "must be S, ST or yes, or U, US, D, SD or no, also 1, 0, true and false, got `{}`",
+            "must be S, ST, yes, true or 1 for stable, or U, US, D, SD, no, false or 0 for unstable, got `{}`",
             cells.text("stable")
         );
         check.keep::<()>(Err(at(row, "stable", advice)));
@@ -260,8 +260,9 @@ impl Gathered {
         let id = it.id.clone();
         let mut agree = |column: &str, agrees: bool| {
             if !agrees {
-                let advice =
-                    format!("is another one than in the rows of `{id}` before: a weighing has one");
+                let advice = format!(
+                    "differs from the earlier rows of weighing `{id}`: give the same in each"
+                );
                 check.keep::<()>(Err(at(row, column, advice)));
             }
         };
@@ -281,7 +282,7 @@ impl Gathered {
                 && now < before
             {
                 let advice = format!(
-                    "falls from {before} to {now} in weighing `{id}`: shakes are counted up"
+                    "falls from {before} to {now} in weighing `{id}`: it must never decrease"
                 );
                 check.keep::<()>(Err(at(row, "shake_index", advice)));
             }
@@ -292,7 +293,7 @@ impl Gathered {
         // The readings before the first shake are not a shake.
         if self.shakes > SHAKES_MAX + 1 {
             let advice = format!(
-                "is one shake too many: at most {SHAKES_MAX} of a weighing are judged together; split it"
+                "is above the limit of {SHAKES_MAX} shakes in one weighing: split the weighing"
             );
             check.keep::<()>(Err(at(row, "shake_index", advice)));
         }

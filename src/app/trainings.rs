@@ -162,7 +162,7 @@ impl App {
             Ok(())
         } else {
             Err(refuse(format!(
-                "`{id}` must be a policy that the same preset has learnt; it is {}",
+                "`{id}` must be a policy trained with the same preset; it is {}",
                 policy.manifest.kind.name()
             )))
         }
@@ -266,7 +266,7 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
         if request.preset == Preset::Paper || request.order == Order::DomainRandomisation {
             check.refuse(
                 "powders",
-                "does not go with the `paper` preset or `domain-randomisation`: leave it out",
+                "cannot be given with the `paper` preset or `domain-randomisation`: leave it out",
             );
         }
     }

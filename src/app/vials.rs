@@ -70,14 +70,14 @@ impl App {
             && wanted != said
         {
             let advice =
-                format!("weighing {id} is for vial `{wanted}`, and `{said}` was said to be in");
+                format!("weighing {id} is for vial `{wanted}`, but `{said}` was confirmed");
             return Err(Error::conflict("vial_differs", advice));
         }
         let vial = request.vial.or_else(|| weighing.asked.vial.clone());
         match bench.vial_is_in(&weighing, request.by.as_deref(), vial, stops).await? {
             Change::Made => Ok(weighing),
             Change::Nothing => Err(not_its_turn(id, self.turn()?)),
-            Change::Void => Err(stopped_meanwhile("look at the vial, and say again that it is in")),
+            Change::Void => Err(stopped_meanwhile("check the vial, and confirm it again")),
         }
     }
 
@@ -129,19 +129,20 @@ pub(super) fn refused(why: Refused) -> Error {
     match why {
         Refused::Reserved(Reservation { owner, until, .. }) => {
             let advice = format!(
-                "{owner} has the bench for himself until {until}: name his reservation, or wait until it ends"
+                "{owner} has reserved the bench until {until}: name that reservation, or wait until it ends"
             );
             Error::conflict("bench_reserved", advice)
         }
         Refused::Ended(id) => {
             let advice = format!(
-                "reservation {id} has ended or never was: others may have used the bench since"
+                "reservation {id} has ended or never existed: others may have used the bench since"
             );
             Error::conflict("reservation_ended", advice)
         }
         Refused::InUse(id) => {
-            let advice =
-                format!("weighing {id} was asked for before: reserve the bench when nothing waits");
+            let advice = format!(
+                "weighing {id} was requested earlier: reserve the bench when nothing is waiting"
+            );
             Error::conflict("bench_in_use", advice)
         }
     }
@@ -152,7 +153,7 @@ fn not_its_turn(id: &str, turn: Option<String>) -> Error {
         Some(turn) if turn != id => {
             format!("it is not the turn of weighing {id} but of {turn}: leave the vial as it is")
         }
-        _ => format!("weighing {id} does not wait for a vial"),
+        _ => format!("weighing {id} is not waiting for a vial"),
     };
     Error::conflict("not_its_turn", advice)
 }

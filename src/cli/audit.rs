@@ -95,7 +95,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 fn verify(common: &Common, hash: Option<&str>) -> Result<(), Failure> {
     let found = with_reader(common, async |app| Ok(app.verify_audit(hash).await?))?;
     common.print(&found, || text(&found))?;
-    match is_whole(&found) {
+    match is_intact(&found) {
         true => Ok(()),
         false => Err(Failure::Failed(anyhow::anyhow!("the audit trail is not what was written"))),
     }
@@ -113,7 +113,7 @@ fn archived(done: &Archived) -> String {
     }
 }
 
-fn is_whole(found: &AuditVerification) -> bool {
+fn is_intact(found: &AuditVerification) -> bool {
     found.broken.is_none() && found.holds_hash != Some(false)
 }
 
@@ -124,13 +124,13 @@ fn text(found: &AuditVerification) -> String {
             format!("broken at record {}: {}", broken.seq, broken.why)
         }
         (Some(_), _) if found.changed.is_empty() && found.others.is_empty() => {
-            format!("whole but for what is lost:{rows}")
+            format!("intact except for what is lost:{rows}")
         }
-        (Some(_), _) => format!("whole, but results or other rows differ from it:{rows}"),
+        (Some(_), _) => format!("intact, but results or other rows differ from it:{rows}"),
         (None, Some(false)) => {
-            "whole, but it does not hold that hash: records were cut off".to_owned()
+            "intact, but it does not hold that hash: records were cut off".to_owned()
         }
-        (None, _) => "whole".to_owned(),
+        (None, _) => "intact".to_owned(),
     };
     format!("{} records, {state}\nlast hash {}", found.records, found.last_hash)
 }

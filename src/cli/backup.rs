@@ -53,8 +53,8 @@ fn text(made: &Copied) -> String {
         held,
         revoked_tokens,
     } = made;
-    let is_whole = lost.is_empty() && audit_broken.is_none();
-    let copy = if is_whole { "a whole copy" } else { "a copy of what is not whole any more" };
+    let is_intact = lost.is_empty() && audit_broken.is_none();
+    let copy = if is_intact { "an intact copy" } else { "a copy of what is no longer intact" };
     let mut text = format!(
         "{} holds {copy}: {database_bytes} bytes of database, {files} files, {records} records\nlast hash {last_hash}",
         folder.display()
@@ -63,14 +63,14 @@ fn text(made: &Copied) -> String {
         lost.iter().filter(|file| !damaged.contains(file)).map(String::as_str).collect();
     if !gone.is_empty() {
         text += &format!(
-            "\n{} files that it names are lost in the original already: {}",
+            "\n{} files that it names were already lost in the original: {}",
             gone.len(),
             gone.join(", ")
         );
     }
     if !damaged.is_empty() {
         text += &format!(
-            "\n{} archives are damaged in the original already and were copied as they are: {}",
+            "\n{} archives were already damaged in the original and were copied as they are: {}",
             damaged.len(),
             damaged.join(", ")
         );
@@ -109,8 +109,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_copy_of_what_is_damaged_or_gone_is_not_called_whole() {
-        let whole = Copied {
+    fn a_copy_of_what_is_damaged_or_gone_is_not_called_intact() {
+        let intact = Copied {
             folder: "kept".into(),
             database_bytes: 4096,
             files: 1,
@@ -122,19 +122,19 @@ mod tests {
             held: None,
             revoked_tokens: None,
         };
-        assert!(text(&whole).starts_with("kept holds a whole copy"), "{}", text(&whole));
+        assert!(text(&intact).starts_with("kept holds an intact copy"), "{}", text(&intact));
         let (gone, bad) = ("audit/1.jsonl.gz".to_owned(), "audit/2.jsonl.gz".to_owned());
-        let poorer = text(&Copied { lost: vec![gone, bad.clone()], damaged: vec![bad], ..whole });
-        assert!(!poorer.contains("a whole copy"), "{poorer}");
+        let poorer = text(&Copied { lost: vec![gone, bad.clone()], damaged: vec![bad], ..intact });
+        assert!(!poorer.contains("an intact copy"), "{poorer}");
         assert!(
             poorer.contains(
-                "1 files that it names are lost in the original already: audit/1.jsonl.gz\n"
+                "1 files that it names were already lost in the original: audit/1.jsonl.gz\n"
             ),
             "{poorer}"
         );
         assert!(
             poorer.contains(
-                "damaged in the original already and were copied as they are: audit/2.jsonl.gz"
+                "already damaged in the original and were copied as they are: audit/2.jsonl.gz"
             ),
             "{poorer}"
         );

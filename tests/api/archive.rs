@@ -140,19 +140,19 @@ async fn a_byte_that_was_changed_in_an_archive_is_found_and_a_lost_one_costs_tha
     let certificate = async |id: &str| {
         service.get(&format!("/v1/weighings/{id}/certificate.html")).await.text().await.unwrap()
     };
-    let (damaged, whole) = (certificate(&first).await, certificate(&second).await);
+    let (damaged, intact) = (certificate(&first).await, certificate(&second).await);
     assert!(
-        damaged.contains("A part of its record is lost") && damaged.contains(&lost.files[0]),
+        damaged.contains("Part of its record is lost") && damaged.contains(&lost.files[0]),
         "{damaged}"
     );
-    assert!(!whole.contains("is lost"), "{whole}");
+    assert!(!intact.contains("is lost"), "{intact}");
     let page: Value =
         service.get(&format!("/v1/audit?weighing={first}&limit=200")).await.json().await.unwrap();
     let kinds: Vec<_> =
         page["items"].as_array().unwrap().iter().map(|it| it["kind"].as_str().unwrap()).collect();
     assert!(["intent", "lost", "outcome"].iter().all(|kind| kinds.contains(kind)), "{kinds:?}");
     assert_eq!(service.get("/v1/audit.json").await.status(), 200);
-    // Back in its place it is whole again.
+    // Back in its place it is intact again.
     std::fs::write(&file, bytes).unwrap();
     assert_eq!(verified(&service).await["broken"], Value::Null);
 }

@@ -406,6 +406,13 @@ async fn an_extension_that_wins_is_a_version_that_predicts_and_the_report_is_a_p
             && page.contains(" pile steeper")
             && !page.contains("<script")
     );
+    let sections = service.get(&format!("{PATH}/{id}/report.html?fragment=true")).await;
+    let sections = sections.text().await.unwrap();
+    assert!(sections.contains("<p class=\"sentence\">Humidity makes "), "{sections}");
+    assert!(!sections.contains("<html") && !sections.contains("<style"), "{sections}");
+    let refused =
+        problem(service.get(&format!("{PATH}/{id}/report.html?fragment=perhaps")).await, 400);
+    assert_eq!(fields(&refused.await), ["fragment"]);
 }
 
 /// 200 weighings of ten shakes, ten readings each: 20000 rows, more than a megabyte.

@@ -313,7 +313,7 @@ async fn streams_beyond_the_cap_are_refused_with_advice_and_holders_keep_theirs(
         assert!(open.len() < 1000, "streams are not capped");
     };
     let problem = problem(refused, 503).await;
-    assert!(problem["detail"].as_str().unwrap().contains("come with a token"), "{problem}");
+    assert!(problem["detail"].as_str().unwrap().contains("send a token"), "{problem}");
     let with_token = service.request("GET", "/v1/events").bearer_auth(&token).send().await.unwrap();
     assert_eq!(with_token.status(), 200);
     assert_eq!(stop(&service, &token).await.0, 200);

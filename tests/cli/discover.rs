@@ -285,7 +285,11 @@ fn a_version_is_used_and_rolled_back(data: &Path, file: &Path) {
     assert!(stderr(&refused).contains("simulator: is the base now"), "{}", stderr(&refused));
     let none = flip(data, &["discover", "use", "sv-0"]);
     expect_status(&none, 2);
-    assert!(stderr(&none).contains("simulator: must be `base` or a version"), "{}", stderr(&none));
+    assert!(
+        stderr(&none).contains("simulator: must be `base` or an existing version"),
+        "{}",
+        stderr(&none)
+    );
     for (chosen, before) in
         [(version, "base"), (version, "base"), ("base", version), (version, "base")]
     {

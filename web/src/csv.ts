@@ -32,18 +32,27 @@ export function heading<Row>(column: Column<Row>): string {
   return column.unit ? `${column.label} (${column.unit})` : column.label
 }
 
-/** The cell as exported: an ISO time where there is one, ASCII minus, no group spaces, empty for none. */
+/** A cell's text as exported: ASCII minus, no group spaces, empty for none. */
+const plain = (text: string) => (text === NONE ? '' : text.replaceAll('−', '-').replaceAll('\u2009', ''))
+
+/** The cell as exported: an ISO time where there is one. */
 export function exported<Row>(column: Column<Row>, row: Row): string {
-  const text = column.iso?.(row) ?? column.text(row)
-  return text === NONE ? '' : text.replaceAll('−', '-').replaceAll('\u2009', '')
+  return plain(column.iso?.(row) ?? column.text(row))
+}
+
+/** Rows with CRLF line endings. */
+function lines(rows: string[][]): string {
+  const quote = (text: string) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text)
+  return rows.map((cells) => cells.map(quote).join(',') + '\r\n').join('')
 }
 
 /** The whole document, with CRLF line endings. */
 export function toCsv<Row>(columns: Column<Row>[], rows: Row[]): string {
-  const quote = (text: string) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text)
-  const lines = [columns.map(heading), ...rows.map((row) => columns.map((column) => exported(column, row)))]
-  return lines.map((cells) => cells.map(quote).join(',') + '\r\n').join('')
+  return lines([columns.map(heading), ...rows.map((row) => columns.map((column) => exported(column, row)))])
 }
+
+/** The same of a table that the service rendered. */
+export const tableCsv = (table: HTMLTableElement): string => lines([...table.rows].map((row) => [...row.cells].map((cell) => plain(cell.textContent.trim()))))
 
 /** Downloads `content` as a file. */
 export function download(name: string, content: string | Blob, type = 'text/csv;charset=utf-8'): void {

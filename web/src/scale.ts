@@ -40,27 +40,3 @@ export function nameTicks(names: string[], room: number): Tick[] {
   const short = (name: string) => (name.length > letters ? `${name.slice(0, letters - 1)}…` : name)
   return names.map((name, value) => ({ value, text: short(name) })).filter((_, k) => k % every === 0)
 }
-
-/** Number of powder colours; the shapes repeat with a different period. */
-export const COLOURS = 7
-const SHAPES = 5
-
-/** The outline of the mark of the powder with this number, around a point. */
-export function mark(powder: number, x: number, y: number): string {
-  const p = (v: number) => v.toFixed(1)
-  switch (powder % SHAPES) {
-    case 0:
-      return `M${p(x - 3.2)} ${p(y)}a3.2 3.2 0 1 0 6.4 0a3.2 3.2 0 1 0-6.4 0`
-    case 1:
-      return `M${p(x - 3)} ${p(y - 3)}h6v6h-6z`
-    case 2:
-      return `M${p(x)} ${p(y - 3.9)}l3.7 6.6h-7.4z`
-    case 3:
-      return `M${p(x)} ${p(y - 4.1)}l4.1 4.1-4.1 4.1-4.1-4.1z`
-    default:
-      return `M${p(x)} ${p(y + 3.9)}l3.7-6.6h-7.4z`
-  }
-}
-
-/** The colour of a powder, for CSS. */
-export const colourOf = (powder: number) => `var(--powder-${powder % COLOURS})`

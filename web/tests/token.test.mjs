@@ -28,7 +28,7 @@ describe('a token that the service does not know', () => {
   it('is refused in the dialog, and the page goes on reading', async () => {
     await chromium.open(page, 'bench')
     await enter('flip_0000000000000000_wrong')
-    await dialog().getByRole('alert').getByText(/the token is not known/).waitFor()
+    await dialog().getByRole('alert').getByText(/the token is unknown/).waitFor()
     await picture(page, 'token-refused')
     assert.deepEqual(await accessibilityFaults(page), [])
     await dialog().getByRole('button', { name: 'Close' }).click()

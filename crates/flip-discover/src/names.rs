@@ -108,7 +108,7 @@ pub fn table() -> Value {
         Value::Object(pairs.iter().map(|&(k, v)| (k.to_owned(), v.into())).collect())
     };
     json!({
-        "units": UNITS.to_vec(), "columns": map(&COLUMNS), "causes": map(&CAUSES), "forms": map(&FORMS), "levels": LEVELS,
+        "units": UNITS.to_vec(), "columns": map(&COLUMNS), "causes": map(&CAUSES), "levels": LEVELS,
         "parameters": map(&PARAMETERS),
     })
 }

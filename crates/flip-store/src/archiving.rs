@@ -112,8 +112,7 @@ impl Store {
         let mut previous = &before;
         for (record, seq) in run.iter().zip(first.seq..) {
             if let Some(why) = record.flaw(seq, previous) {
-                let advice =
-                    "`flip audit verify` goes through the whole record; it was left where it is";
+                let advice = "`flip audit verify` checks the whole record; it was left where it is";
                 return Err(Error::Corrupt(format!(
                     "record {seq} of the audit trail: {why}. {advice}"
                 )));

@@ -42,7 +42,7 @@ pub struct AuditRecord {
     pub hash: String,
 }
 
-/// Whether the audit trail is whole.
+/// Whether the audit trail is intact.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AuditVerification {
     /// Records checked.

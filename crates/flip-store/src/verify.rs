@@ -356,7 +356,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The first mismatch with the record, if the chain itself is whole.
+    /// The first mismatch with the record, if the chain itself is intact.
     fn first_flaw(&self) -> Option<AuditBreak> {
         let lost =
             |it: &LostArchive| (Some(it.first), format!("archive {} is lost: {}", it.file, it.why));

@@ -66,7 +66,7 @@ impl Arrivals {
         let announced = headers
             .get(header::CONTENT_LENGTH)
             .and_then(|text| text.to_str().ok()?.parse::<u64>().ok());
-        let late = || Problem::too_slow("the body of the request did not come in time");
+        let late = || Problem::too_slow("the body of the request did not arrive in time");
         let gathered = match announced.is_some_and(|bytes| bytes > bytes_max as u64) {
             true => Err(Problem::too_large(bytes_max)),
             false => {
@@ -90,7 +90,7 @@ impl Arrivals {
             let next = poll_fn(|cx| self.next(body, &mut gathered.waiting, known, cx));
             let frame = tokio::time::timeout(self.pause, next).await;
             let late =
-                || Problem::too_slow("the next part of the request's body did not come in time");
+                || Problem::too_slow("the next part of the request's body did not arrive in time");
             match frame.map_err(|_| late())?? {
                 None => return Ok(gathered.bytes.into()),
                 Some(data) => self.keep(&mut gathered, &data, bytes_max)?,
@@ -112,7 +112,7 @@ impl Arrivals {
                 Poll::Ready(Ok(Some(frame.into_data().unwrap_or_default())))
             }
             Poll::Ready(Some(Err(_))) => {
-                Poll::Ready(Err(Problem::malformed("the body ended before it was whole")))
+                Poll::Ready(Err(Problem::malformed("the body ended before it was complete")))
             }
             Poll::Pending if waiting.is_some() => Poll::Pending,
             Poll::Pending => match self.waited_for[usize::from(known)].try_acquire() {

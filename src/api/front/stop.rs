@@ -108,7 +108,7 @@ async fn at_once(
         .filter(|_| connection.stops() <= WAITING_CONNECTION);
     let Some(place) = place else {
         return Problem::unavailable(
-            "whatever moves was told to stop, but too many stops of weighings that have not begun wait for the database: try again in a moment, or stop the bench",
+            "whatever moves was told to stop, but too many stops of weighings that have not begun are waiting for the database: try again in a moment, or stop the bench",
         )
         .into_response();
     };

@@ -83,7 +83,7 @@ impl repose_measurements_server::ReposeMeasurements for Service {
 fn written<T: DeserializeOwned + Default>(field: &str, text: Option<String>) -> Result<T, Problem> {
     let read = |text: String| {
         serde_json::from_str(&text).map_err(|error| {
-            FieldError::new(field, format!("must be the JSON that REST has here: {error}")).into()
+            FieldError::new(field, format!("must be the JSON that REST takes here: {error}")).into()
         })
     };
     text.map_or_else(|| Ok(T::default()), read)

@@ -77,7 +77,7 @@ async fn body<S: Send + Sync>(
     }
     Bytes::from_request(request, state).await.map_err(|rejection| match rejection.status() {
         StatusCode::PAYLOAD_TOO_LARGE => Problem::too_large(bytes_max),
-        _ => Problem::malformed("the body ended before it was whole"),
+        _ => Problem::malformed("the body ended before it was complete"),
     })
 }
 
@@ -94,9 +94,8 @@ fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
         let path = if error.inner().is_eof() { ".".to_owned() } else { error.path().to_string() };
         refuse(&path, &error.into_inner().to_string())
     })?;
-    json.end().map_err(|error| {
-        Problem::malformed(format!("the body is not one JSON document: {error}"))
-    })?;
+    json.end()
+        .map_err(|error| Problem::malformed(format!("the body is not a JSON document: {error}")))?;
     Ok(value)
 }
 
@@ -107,7 +106,7 @@ fn refuse(path: &str, message: &str) -> Problem {
     let field = match (path, missing) {
         (".", None) => {
             return Problem::malformed(format!(
-                "the request does not read as what is expected here: {message}"
+                "the request does not have the expected form: {message}"
             ));
         }
         (".", Some(name)) => name.to_owned(),

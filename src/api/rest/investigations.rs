@@ -7,11 +7,12 @@ use super::{csv_file, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::app::App;
-use crate::app::{Investigation, InvestigationRequest, Job, Page, report_html};
+use crate::app::{Investigation, InvestigationRequest, Job, Page, document, report_html};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::header;
 use axum::response::{Html, IntoResponse, Response};
+use serde::Deserialize;
 
 /// List investigations, newest first, without their reports.
 #[utoipa::path(get, path = "/v1/investigations", tag = "investigations", params(ListParams),
@@ -67,9 +68,20 @@ pub async fn download_predictions(
     Ok(csv_file("predict", app.predictions(&id).await?))
 }
 
+/// Which part of a report is wanted.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ReportParams {
+    /// The sections alone, for a page that has their style.
+    #[serde(default)]
+    #[param(default = false)]
+    fragment: bool,
+}
+
 /// The report as a self-contained page.
 #[utoipa::path(get, path = "/v1/investigations/{id}/report.html", tag = "investigations",
-    params(("id" = String, Path, description = "Id of the investigation")),
+    params(("id" = String, Path, description = "Id of the investigation"), ReportParams),
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),
         (status = 409, description = "It has no report, or none yet", body = Problem,
             content_type = "application/problem+json")))]
@@ -77,8 +89,12 @@ pub async fn get_report_page(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
+    Query(params): Query<ReportParams>,
 ) -> Result<Response, Problem> {
-    let page = report_html::html(&app.report(&id).await?);
+    let page = match params.fragment {
+        true => app.report_fragment(&id).await?,
+        false => report_html::html(&app.report(&id).await?),
+    };
     // It may load only its own inline style.
-    Ok(([(header::CONTENT_SECURITY_POLICY, report_html::POLICY)], Html(page)).into_response())
+    Ok(([(header::CONTENT_SECURITY_POLICY, document::POLICY)], Html(page)).into_response())
 }

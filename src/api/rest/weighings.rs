@@ -5,7 +5,7 @@ use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::app::{App, certificate};
+use crate::app::{App, document};
 use crate::app::{Page, VialReadyRequest, Weighing, WeighingDetail, WeighingRequest};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
@@ -123,7 +123,7 @@ pub async fn get_certificate(
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
     let page = app.certificate(&id).await?;
-    Ok(([(header::CONTENT_SECURITY_POLICY, certificate::POLICY)], Html(page)).into_response())
+    Ok(([(header::CONTENT_SECURITY_POLICY, document::POLICY)], Html(page)).into_response())
 }
 
 /// Confirm that the vial of a weighing is in, and empty.

@@ -57,7 +57,7 @@ impl Column {
 
 fn marked(text: &str) -> String {
     format!(
-        "is `{text}`, as loggers write what is missing: leave the cell empty, or write {text}.0 where it was measured"
+        "is `{text}`, which loggers write for a missing value: leave the cell empty, or write {text}.0 if it was measured"
     )
 }
 
@@ -155,7 +155,7 @@ impl Numbers<'_> {
         match cell.told {
             Told::Missing | Told::Limit(_) => Ok(None),
             Told::Number(_, Some(is)) if Some(is) != unit => {
-                Err(format!("is in {is}, and the column in {}", unit.unwrap_or("no unit")))
+                Err(format!("is in {is}, but the column is in {}", unit.unwrap_or("no unit")))
             }
             Told::Number(value, _) if value.abs() <= NUMBER_MAX || self.is_known() => {
                 Ok(Some(value))
@@ -166,7 +166,7 @@ impl Numbers<'_> {
             Told::TwoNumbers(text) => Err(two_numbers(text)),
             Told::Text(text) if is_no_number(text) => Ok(None),
             Told::Text(text) => Err(format!(
-                "is no number, as most cells of the column are, got `{text}`: correct it or leave it empty; where they are names, call the column batch"
+                "must be a number, as most cells of the column are, got `{text}`: correct it or leave it empty; if the cells are names, call the column batch"
             )),
         }
     }

@@ -118,7 +118,7 @@ impl Column<'_> {
                     _ => None,
                 }
                 .ok_or_else(|| {
-                    "counts no day, as most sessions of the file do: correct it, or leave it empty"
+                    "must count days, as most sessions of the file do: correct it, or leave it empty"
                         .to_owned()
                 })
             });
@@ -151,10 +151,10 @@ impl Column<'_> {
     fn numbers(&self) -> Refused<Vec<f64>> {
         self.each(|cell| match cell {
             Read::Number(number) => Ok(*number),
-            _ => {
-                Err("is no number, as most sessions of the file are: correct it, or leave it empty"
-                    .to_owned())
-            }
+            _ => Err(
+                "must be a number, as most sessions of the file are: correct it, or leave it empty"
+                    .to_owned(),
+            ),
         })
     }
 
@@ -181,13 +181,15 @@ impl Column<'_> {
             None => self.order()?,
         };
         self.each(|cell| match cell {
-            Read::Day(Written::Unclear(why)) => Err(format!("{why}: write days as 2026-02-03")),
+            Read::Day(Written::Unclear(why)) => Err(format!("{why}: write dates as 2026-02-03")),
             Read::Day(written) => written.day(order).ok_or_else(|| {
                 let first = order.map_or("nothing", DateOrder::first);
-                format!("is no day with {first} first, as the others are read")
+                format!("is not a date with {first} first, as the others are read")
             }),
-            _ => Err("is no day, as most sessions of the file are: correct it, or leave it empty"
-                .to_owned()),
+            _ => Err(
+                "must be a date, as most sessions of the file are: correct it, or leave it empty"
+                    .to_owned(),
+            ),
         })
     }
 

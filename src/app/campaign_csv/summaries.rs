@@ -49,7 +49,7 @@ impl Summaries {
     pub fn leave_any(&self, runs: usize) -> Result<()> {
         match (runs, self.rows.first()) {
             (0, Some(row)) => {
-                let advice = "is called mean, SD or the like, as are all others: give runs, one a row, or their mean as repose_deg with repose_sd_deg and n";
+                let advice = "is called mean, SD or the like, as are all other rows: give one run per row, or the mean of the runs as repose_deg with repose_sd_deg and n";
                 Err(FieldError::new(format!("row[{row}]"), advice).into())
             }
             _ => Ok(()),

@@ -95,7 +95,7 @@ impl Table {
     ) -> Result<Self> {
         if text.len() > TABLE_BYTES_MAX {
             let advice = format!(
-                "has {} bytes, and at most {TABLE_BYTES_MAX} are read: split it",
+                "has {} bytes, and at most {TABLE_BYTES_MAX} are allowed: split the file",
                 text.len()
             );
             return Err(FieldError::new("file", advice).into());
@@ -203,7 +203,7 @@ fn name_of(written: &str, columns: &Columns<'_>) -> String {
 fn check_header(names: &[String], columns: &Columns<'_>, check: &mut Check) {
     for (k, name) in names.iter().enumerate() {
         if !name.is_empty() && names[..k].contains(name) {
-            check.refuse(name, "stands twice in the header");
+            check.refuse(name, "appears twice in the header");
         }
     }
     for column in columns.required.iter().filter(|column| !names.iter().any(|name| name == *column))
@@ -214,7 +214,7 @@ fn check_header(names: &[String], columns: &Columns<'_>, check: &mut Check) {
     if count > columns.most {
         check.refuse(
             "header",
-            format!("has {count} columns, and at most {} are read", columns.most),
+            format!("has {count} columns, and at most {} are allowed", columns.most),
         );
     }
 }
@@ -233,7 +233,7 @@ fn rows(
         }
         check_length(number, &record, names)?;
         if rows.len() == ROWS_MAX {
-            let advice = format!("is one too many: a file may hold {ROWS_MAX} rows; split it");
+            let advice = format!("is one too many: a file may have {ROWS_MAX} rows; split it");
             return Err(FieldError::new(format!("row[{number}]"), advice).into());
         }
         rows.push(Row {
@@ -260,7 +260,7 @@ fn check_length(
     let named = names.iter().rposition(|name| !name.is_empty()).map_or(0, |last| last + 1);
     if record.len() < named {
         return refused(format!(
-            "has {} cells where the header has {named}: quote cells that hold a separator",
+            "has {} cells where the header has {named}: quote cells that contain a separator",
             record.len()
         ));
     }
@@ -270,7 +270,7 @@ fn check_length(
         .find(|(k, cell)| !cell.trim().is_empty() && names.get(*k).is_none_or(String::is_empty));
     match stray {
         Some((k, _)) if k >= names.len() => refused(format!(
-            "has {} cells where the header has {named}: quote cells that hold a separator",
+            "has {} cells where the header has {named}: quote cells that contain a separator",
             record.len()
         )),
         Some((_, cell)) => refused(format!("holds `{}` in a column without a name", cell.trim())),
@@ -345,14 +345,14 @@ impl<'a> Cells<'a> {
             Told::Missing => refused("is missing".to_owned()),
             Told::Number(value, unit) => match (unit, unit_of(column)) {
                 (Some(is), Some(wanted)) if is != wanted => {
-                    refused(format!("is in {is}, and the column in {wanted}"))
+                    refused(format!("is in {is}, but the column is in {wanted}"))
                 }
-                (Some(is), None) => refused(format!("is in {is}, and the column counts")),
+                (Some(is), None) => refused(format!("is in {is}, but the column holds counts")),
                 _ => Ok(value),
             },
             Told::TwoNumbers(text) => refused(two_numbers(text)),
             Told::Limit(text) => refused(format!(
-                "is a limit, `{text}`, and no number: leave it empty, or leave the row out"
+                "is a limit, `{text}`, not a number: leave it empty, or leave the row out"
             )),
             Told::Text(text) => refused(format!("must be a number, got `{text}`")),
         }

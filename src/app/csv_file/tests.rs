@@ -70,7 +70,7 @@ fn known_columns_are_found_whatever_the_case_of_their_names() {
     let hidden = open("\u{200b}A;Long\u{a0}Name;\u{feff}x_mm\nx\u{200b};y;1,5\n").unwrap();
     assert_eq!(hidden.columns, ["a", "long_name", "x_mm"]);
     assert_eq!(hidden.rows().next().unwrap().text("a"), "x");
-    assert!(refused("a,A\n1,2\n").contains("a: stands twice in the header"));
+    assert!(refused("a,A\n1,2\n").contains("a: appears twice in the header"));
     assert!(refused("b\n1\n").contains("a: is missing in the header"));
     assert!(refused("a,b,c,d,e\n1,2,3,4,5\n").contains("header: has 5 columns"));
 }
@@ -82,8 +82,8 @@ fn a_number_is_in_the_unit_of_its_column() {
     };
     assert_eq!((number("1.5"), number("1,5 mm"), number("1,125")), (Ok(1.5), Ok(1.5), Ok(1.125)));
     for (cell, message) in [
-        ("1.5 cm", "is in cm, and the column in mm"),
-        ("<5", "is a limit, `<5`, and no number: leave it empty, or leave the row out"),
+        ("1.5 cm", "is in cm, but the column is in mm"),
+        ("<5", "is a limit, `<5`, not a number: leave it empty, or leave the row out"),
         ("NA", "is missing"),
         ("none", "is missing"),
         ("wide", "must be a number, got `wide`"),

@@ -20,7 +20,7 @@ pub fn table_text(bytes: &[u8]) -> Result<String, FieldError> {
         char::decode_utf16(whole.chain(odd).collect::<Vec<_>>())
             .collect::<Result<String, _>>()
             .map_err(|_| {
-                FieldError::new("row[1]", "is not whole UTF-16 text: save the file as CSV UTF-8")
+                FieldError::new("row[1]", "is not valid UTF-16 text: save the file as CSV UTF-8")
             })
     };
     match bytes {

@@ -1,47 +1,48 @@
 //! How the files were read: how each column was interpreted, and what was left out.
 
-use super::sections::{row, section, table};
-use super::words::{column_with_unit, text, upper};
+use super::table::{left, right, row, section, table, wrapped};
+use super::words::{column_with_unit, upper};
 use flip_discover::Report;
 use flip_discover::reading::{ColumnRead, FileRead, TakenAs};
+use maud::{Markup, html};
 
 /// Maximum number of left-out rows that are listed; the document has all.
 const ROWS_SHOWN: usize = 20;
 
-pub fn files(report: &Report) -> String {
+pub fn files(report: &Report) -> Markup {
     section(
         "How the data were read",
-        "Each column of the files, what it was taken as, and what does not count.",
-        &report.files.iter().map(file).collect::<String>(),
+        "How each column of the files was interpreted, and what was ignored.",
+        &html! { @for it in &report.files { (file(it)) } },
     )
 }
 
-fn file(file: &FileRead) -> String {
-    let heading =
-        format!("<h3>{} <small>{} rows</small></h3>", text(&upper(&file.file)), file.rows);
-    let rows: String = file.columns.iter().map(column).collect();
-    let columns = table("", &[">Column", ">Taken as", "Filled", "Missing", ">Note"], &rows);
+fn file(file: &FileRead) -> Markup {
+    let headings =
+        [left("Column"), left("Read as"), right("Filled"), right("Missing"), left("Note")];
+    let columns: Vec<Markup> = file.columns.iter().map(column).collect();
     let left_out = file
         .left_out
         .iter()
         .map(|it| format!("Left out: rows {}: {}.", numbers(&it.rows), it.reason));
     let powders = file.powders.iter().map(|it| format!("Powder “{}” is {}.", it.name, it.id));
     let notes = file.notes.iter().map(|note| format!("{}.", upper(note)));
-    let notes: String =
-        left_out.chain(notes).chain(powders).map(|it| format!("<li>{}</li>", text(&it))).collect();
-    let notes = if notes.is_empty() { notes } else { format!("<ul class=\"plain\">{notes}</ul>") };
-    format!("{heading}{columns}{notes}")
+    let notes: Vec<String> = left_out.chain(notes).chain(powders).collect();
+    html! {
+        h3 { (upper(&file.file)) " " small { (file.rows) " rows" } }
+        (table(&format!("Columns of {}", file.file), "", &headings, &columns))
+        @if !notes.is_empty() { ul.plain { @for note in notes { li { (note) } } } }
+    }
 }
 
-fn column(it: &ColumnRead) -> String {
-    let left = |words: &str| format!("<span class=\"left wrap\">{}</span>", text(words));
+fn column(it: &ColumnRead) -> Markup {
     let cells = [
-        left(taken_as(it.taken_as)),
-        it.filled.to_string(),
-        it.missing.to_string(),
-        left(&it.note),
+        wrapped(taken_as(it.taken_as)),
+        html! { (it.filled) },
+        html! { (it.missing) },
+        wrapped(&it.note),
     ];
-    row(&text(&column_with_unit(&it.column)), &cells)
+    row(column_with_unit(&it.column), &cells)
 }
 
 fn taken_as(what: TakenAs) -> &'static str {

@@ -1,66 +1,77 @@
 //! Findings on balance readings alone.
 
 use super::figures;
-use super::sections::{experiment_card, row, section, table};
-use super::words::{chance, counted, interval, num, signed, text, with_unit};
-use flip_discover::report::{Channel, Finding, Report};
+use super::sections::experiment_card;
+use super::table::{left, right, row, section, table};
+use super::words::{chance, counted, interval, num, signed, with_unit};
+use flip_discover::report::{Channel, Finding, NullCheck, Report};
 use flip_discover::traces::{TraceMechanism, WANDER};
+use maud::{Markup, html};
 
 /// Whether a cause is judged on balance readings.
 pub fn is_of_traces(name: &str) -> bool {
     name == WANDER || TraceMechanism::ALL.iter().any(|mechanism| mechanism.name().0 == name)
 }
 
-pub fn traces(report: &Report) -> String {
-    let Some(it) = &report.traces else { return String::new() };
-    let shown = format!(
-        "<p>{} and {} of the empty pan or a standard mass: {}, {}. By themselves p\u{a0}=\u{a0}{}.</p>",
-        counted(it.weighings as usize, "dose"),
-        counted(it.controls as usize, "log"),
-        counted(it.readings as usize, "reading"),
-        counted(it.shakes as usize, "shake"),
-        chance(it.p_value)
-    );
-    let found: String = report
+pub fn traces(report: &Report) -> Markup {
+    let Some(it) = &report.traces else { return html! {} };
+    let found: Vec<Markup> = report
         .findings
         .iter()
         .filter(|finding| finding.channel == Channel::Trace)
         .map(finding)
         .collect();
-    let found = match found.as_str() {
-        "" => found,
-        rows => table("", &[">From where to where", "Change", "95 % interval"], rows),
-    };
-    let unjudged = it.unjudged.as_ref().map_or(String::new(), |why| {
-        format!("<p>What the spoon lets fall is not judged: {}.</p>", text(why))
-    });
-    let check = &it.null_check;
-    let null = check.statistic.zip(check.threshold95).map_or(String::new(), |(statistic, threshold95)| format!(
-        "<h3>Null check</h3><p>Readings of this design were simulated {} times with nothing wrong, and the whole search was done on each. \
-         One in twenty exceeds {}; here it is {}.</p><div class=\"figures\">{}</div>",
-        check.campaigns,
-        num(threshold95, 1),
-        num(statistic, 1),
-        figures::null_scale(check)
-    ));
+    let headings = [left("Range"), right("Change"), right("95 % interval")];
     let own = it
         .suggested_experiment
         .as_ref()
         .filter(|own| report.suggested_experiment.as_ref() != Some(*own));
-    let own = own
-        .map_or(String::new(), |own| format!("<h3>The next control</h3>{}", experiment_card(own)));
     section(
         "Balance readings",
-        "What the balance showed during weighings, against the simulated spoon and balance. A powder's own response to the shakes is fitted, \
-         so what counts is the course of readings after a shake, of shakes in a weighing, and of scatter.",
-        &format!("{shown}{unjudged}{found}{null}{own}"),
+        "Balance readings during weighings, compared with the simulated spoon and balance. Each \
+         powder's response to the shakes is fitted, so look at how readings change after a shake, \
+         from shake to shake within a weighing, and in their scatter.",
+        &html! {
+            p {
+                (counted(it.weighings as usize, "dose")) " and "
+                (counted(it.controls as usize, "log")) " of the empty pan or of a standard mass: "
+                (counted(it.readings as usize, "reading")) ", "
+                (counted(it.shakes as usize, "shake")) ". On their own, p\u{a0}=\u{a0}"
+                (chance(it.p_value)) "."
+            }
+            @if let Some(why) = &it.unjudged {
+                p { "The powder that the spoon releases was not judged: " (why) "." }
+            }
+            @if !found.is_empty() {
+                (table("Changes of the balance readings", "", &headings, &found))
+            }
+            (null(&it.null_check))
+            @if let Some(own) = own {
+                h3 { "The next control" }
+                (experiment_card(own, "Runs of the next control"))
+            }
+        },
     )
 }
 
-fn finding(it: &Finding) -> String {
+fn null(check: &NullCheck) -> Markup {
+    let Some((statistic, threshold95)) = check.statistic.zip(check.threshold95) else {
+        return html! {};
+    };
+    html! {
+        h3 { "Null check" }
+        p {
+            "Readings of this design were simulated " (check.campaigns)
+            " times with nothing wrong, and the whole search was run on each. "
+            "One in twenty exceeds "
+            (num(threshold95, 1)) "; here it is " (num(statistic, 1)) "."
+        }
+        div.figures { (figures::null_scale(check)) }
+    }
+}
+
+fn finding(it: &Finding) -> Markup {
     let decimals = if it.unit == "%" { 0 } else { 2 };
-    row(
-        &text(&it.span),
-        &[with_unit(&signed(it.effect, decimals), &text(&it.unit)), interval(it.ci95, decimals)],
-    )
+    let change = with_unit(&signed(it.effect, decimals), &it.unit);
+    row(&it.span, &[html! { (change) }, html! { (interval(it.ci95, decimals)) }])
 }

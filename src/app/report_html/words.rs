@@ -1,10 +1,10 @@
-//! Formatting of names and numbers in a report. Everything from a file passes through [`text`],
-//! including names: they arrive unescaped.
+//! Formatting of names and numbers in a report.
 
 pub use flip_discover::names::{cause, column, form, level, lower, parameter, with_unit, words};
 
 use flip_discover::numerics::{Dependence, Varied};
 use flip_discover::report::Numerics;
+use maud::{Markup, html};
 
 /// Capitalizes the first letter, for the start of a sentence.
 pub fn upper(phrase: &str) -> String {
@@ -12,31 +12,13 @@ pub fn upper(phrase: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// Text as HTML: no markup takes effect, and control characters are removed.
-pub fn text(raw: &str) -> String {
-    let mut out = String::with_capacity(raw.len());
-    for c in raw.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            '\n' | '\t' => out.push(' '),
-            c if c.is_control() => out.push(char::REPLACEMENT_CHARACTER),
-            c => out.push(c),
-        }
-    }
-    out
-}
-
 /// Summary of the numerics check on simulated heaps, on one line.
-pub fn numerics(of: &Numerics) -> String {
+pub fn numerics(of: &Numerics) -> Markup {
     let told = |it: &Dependence| {
         let (what, per) = match it.varied {
-            Varied::SettlingTime => ("settling time", "a decade"),
-            Varied::Substep => ("substep", "a doubling"),
-            Varied::Particles => ("grains", "a doubling"),
+            Varied::SettlingTime => ("settling time", "decade"),
+            Varied::Substep => ("substep", "doubling"),
+            Varied::Particles => ("grains", "doubling"),
         };
         let verdict = match (it.is_defect, it.varied) {
             (true, Varied::SettlingTime) => ": heaps creep",
@@ -44,15 +26,14 @@ pub fn numerics(of: &Numerics) -> String {
             (false, _) => "",
         };
         let ends = it.ci99.map(|end| signed(end, 1));
-        format!("{what} {} deg {per} [{}, {}]{verdict}", signed(it.slope_deg, 1), ends[0], ends[1])
+        format!("{what} {}° per {per} [{}, {}]{verdict}", signed(it.slope_deg, 1), ends[0], ends[1])
     };
     let all: Vec<String> = of.dependences.iter().map(told).collect();
     let heaps: u32 = of.dependences.iter().map(|it| it.runs).sum();
-    format!(
-        "{} <small>{heaps} heaps of {}, 99 % intervals</small>",
-        all.join("; "),
-        text(&of.set.source)
-    )
+    html! {
+        (all.join("; ")) " "
+        small { (heaps) " heaps of " (of.set.source) ", 99 % intervals" }
+    }
 }
 
 /// Truncates to at most `most` letters.
@@ -111,25 +92,26 @@ pub fn chance(p: f64) -> String {
     )
 }
 
-/// A share as `93 %`; nearly none or nearly all is not rounded to none or all.
+/// A share in percent, without the sign; nearly none or nearly all is not rounded to none or all.
 pub fn percent(share: f64) -> String {
     match share {
-        s if s > 0.0 && s < 0.005 => "&lt; 1 %".to_owned(),
-        s if s < 1.0 && s > 0.995 => "&gt; 99 %".to_owned(),
-        s => format!("{} %", num(100.0 * s, 0)),
+        s if s > 0.0 && s < 0.005 => "< 1".to_owned(),
+        s if s < 1.0 && s > 0.995 => "> 99".to_owned(),
+        s => num(100.0 * s, 0),
     }
 }
 
-/// A duration in seconds, minutes or hours.
+/// A duration: `42 s`, `15 min` or `1 h 35 min`.
 pub fn duration(seconds: f64) -> String {
-    match seconds {
-        s if s < 100.0 => format!("{} s", num(s, 0)),
-        s if s < 7200.0 => format!("{} min", num(s / 60.0, 0)),
-        s => format!("{} h", num(s / 3600.0, 1)),
+    let minutes = (seconds / 60.0).round();
+    match minutes {
+        _ if seconds < 100.0 => format!("{} s", num(seconds, 0)),
+        m if m < 60.0 => format!("{} min", num(m, 0)),
+        m => format!("{} h {:02} min", num((m / 60.0).floor(), 0), m % 60.0),
     }
 }
 
-/// `Relative humidity (%)`; not escaped yet.
+/// `Relative humidity (%)`.
 pub fn column_with_unit(name: &str) -> String {
     match column(name) {
         (label, "") => label,
@@ -137,7 +119,7 @@ pub fn column_with_unit(name: &str) -> String {
     }
 }
 
-/// A range, without the name of the condition that is its heading; not escaped yet.
+/// A range, without the name of the condition that is its heading.
 pub fn span<'a>(span: &'a str, label: &str) -> &'a str {
     span.strip_suffix(&lower(label)).map_or(span, str::trim_end)
 }

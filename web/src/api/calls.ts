@@ -84,6 +84,9 @@ export const startEvaluation = (request: T.EvaluationRequest) => body(client.POS
 export const investigations = (query: Query = {}) => body(client.GET('/v1/investigations', { params: { query } }))
 export const investigation = (id: string) => body(client.GET('/v1/investigations/{id}', { params: at(id) }))
 export const startInvestigation = (request: T.InvestigationRequest) => body(client.POST('/v1/investigations', { body: request }))
+/** The report as the service renders it, for this page's style. */
+export const reportSections = (id: string): Promise<string> =>
+  body(client.GET('/v1/investigations/{id}/report.html', { params: { ...at(id), query: { fragment: true } }, parseAs: 'text' }))
 /** Predictions of the simulator for every row of the file, before and after. */
 export const predictions = (id: string): Promise<string> => body(client.GET('/v1/investigations/{id}/predict.csv', { params: at(id), parseAs: 'text' }))
 

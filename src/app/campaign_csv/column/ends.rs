@@ -46,7 +46,7 @@ pub(super) fn check(
     }
     let refused = |(k, end): (usize, f64)| {
         let advice = format!(
-            "is {end}, an end of the sensor's range, and no other is within {FAR} of it, as where a logger read nothing: leave the cell empty, or write {end} {unit} where it was measured"
+            "is {end}, an end of the sensor's range, and no other value is within {FAR} of it, as when a logger has no reading: leave the cell empty, or write {end} {unit} if it was measured"
         );
         at(row(k), column, advice)
     };

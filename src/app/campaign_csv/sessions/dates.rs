@@ -50,13 +50,13 @@ impl Dates<'_> {
         let Some((first, from, _)) = shown().next() else {
             let (_, row, text) = self.0[0];
             let advice = format!(
-                "`{text}` and the others are days in no one order: write days as 2026-02-03"
+                "`{text}` and the other dates have no one order of day and month: write dates as 2026-02-03"
             );
             return vec![at(row, "session", advice)];
         };
         let other = |(order, row, text): (DateOrder, usize, &str)| {
             let advice = format!(
-                "`{text}` has {} first where row {from} has {}: write days as 2026-02-03",
+                "`{text}` has {} first where row {from} has {}: write dates as 2026-02-03",
                 order.first(),
                 first.first()
             );
@@ -72,7 +72,7 @@ impl Dates<'_> {
                     *row,
                     "session",
                     format!(
-                        "`{text}` is no day with {} first, as row {from} is: write days as 2026-02-03",
+                        "`{text}` is not a date with {} first, as row {from} is: write dates as 2026-02-03",
                         first.first()
                     ),
                 )

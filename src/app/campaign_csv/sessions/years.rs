@@ -30,7 +30,7 @@ pub(super) fn check(days: &[Date], rows: &[usize], texts: &[&str]) -> Refused<()
     let is_outside = |day: i32| day < first || day - first > CAMPAIGN_MAX_D;
     let outside = (0..days.len()).filter(|&k| is_outside(numbers[k]));
     let refused = |k: usize| {
-        let advice = "is more than ten years from most sessions of the file, which are of one campaign: correct its year, or leave the row out";
+        let advice = "is more than ten years away from most sessions of the file, which belong to one campaign: correct its year, or leave the row out";
         at(rows[k], "session", format!("{advice}, got `{}`", texts[k]))
     };
     let refusals: Vec<_> = outside.map(refused).collect();
