@@ -110,9 +110,13 @@ pub(super) fn perform(
     let shared =
         shared.map(|design| emulator(host, design, &spec.simulator, &simulator)).transpose()?;
     let (channels, built): (Vec<Channel>, Vec<u32>) = match &shared {
-        Some((emulator, _)) => {
-            observe::channels(host, functions, &spec.observations, emulator, &spec.simulator)?
-        }
+        Some((emulator, _)) => observe::channels(
+            host,
+            &functions.observe,
+            &spec.observations,
+            emulator,
+            &spec.simulator,
+        )?,
         None => Vec::new(),
     }
     .into_iter()
@@ -136,7 +140,7 @@ pub(super) fn perform(
     let posterior = knowledge.map(|known| Posterior::of(known, &target, DRAWS, spec.settings.seed));
     let sets: Vec<ParameterSet> = calibration.sets.iter().map(|set| set.parameters).collect();
     let seed = spec.settings.seed;
-    let observed = observe::look(host, functions, &channels, &built, &sets, seed)?;
+    let observed = observe::look(host, &functions.observe, &channels, &built, &sets, seed)?;
     finish(host, spec, calibration, shared.map(|(_, used)| used), posterior, observed)
 }
 

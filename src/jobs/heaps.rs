@@ -1,9 +1,8 @@
 //! The heaps of an investigation: numerical errors of the simulator, independent of any data, and
 //! the amplitudes of an extension.
 
-use super::Functions;
 use super::host::{JobError, JobHost, Result, go_on};
-use super::runner::{HeapExperiment, Run};
+use super::runner::{HeapExperiment, HeapRunner, Run};
 use super::spec::{Heaps, InvestigationSpec};
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::job::Progress;
@@ -31,7 +30,7 @@ const FIT: u64 = 2;
 /// Pours the heaps of an investigation, counts them, and reports progress.
 pub(super) struct Pourer<'a> {
     host: &'a dyn JobHost,
-    functions: &'a Functions,
+    simulator: &'a HeapRunner,
     heaps: &'a Heaps,
     seed: u64,
     poured: Cell<u32>,
@@ -42,13 +41,13 @@ impl<'a> Pourer<'a> {
     /// Creates one that has poured nothing; `None` if an investigation simulates nothing.
     pub(super) fn of(
         host: &'a dyn JobHost,
-        functions: &'a Functions,
+        simulator: &'a HeapRunner,
         spec: &'a InvestigationSpec,
     ) -> Option<Self> {
         let heaps = spec.heaps.as_ref().filter(|heaps| !heaps.sets.is_empty())?;
         Some(Self {
             host,
-            functions,
+            simulator,
             heaps,
             seed: spec.settings.seed,
             poured: Cell::default(),
@@ -145,7 +144,7 @@ impl<'a> Pourer<'a> {
             heaps.enumerate().filter_map(|(place, heap)| Some((place, read(heap?)))).unzip();
         let (mut poured, mut unsaved) = (self.poured.get(), None);
         let (host, budget) = (self.host, self.heaps.budget_runs);
-        self.functions.simulate.run(&experiments, &mut |k, Run { outcome, .. }| {
+        self.simulator.run(&experiments, &mut |k, Run { outcome, .. }| {
             angles[places[k]] = outcome.ok().map(|heap| heap.tip_deg);
             poured += 1;
             let done = (f64::from(poured) / f64::from(budget)).min(1.0);

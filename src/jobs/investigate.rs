@@ -25,7 +25,7 @@ pub(super) fn perform(
 ) -> Result<()> {
     let InvestigationSpec { campaign, traces, settings, simulator, .. } = spec;
     let began = Instant::now();
-    let pourer = Pourer::of(host, functions, spec);
+    let pourer = Pourer::of(host, &functions.simulate, spec);
     let numerics = match &pourer {
         Some(pourer) => pourer.numerics([0.0, JUDGED[0]])?,
         None => None,

@@ -9,7 +9,9 @@
 //!     |        lease.rs renews the lease from a thread of its own
 //!     v
 //!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, investigate.rs, one at a time | repose.rs, on the bench
-//!              load inputs, call the pure function, save what it finds; every write carries the fence
+//!              load inputs, call the pure function, save what it finds
+//!              host.rs: what such a body may ask for; leased.rs answers over the store, every write carries the fence
+//!              runner.rs: who carries out the experiments that it hands over
 //! ```
 //!
 //! Weighings are not jobs: see `bench/`.

@@ -1,10 +1,9 @@
 //! Measurements other than the angle: their emulators before a calibration, and a check of the sets
 //! after it. Every simulation is saved as it completes.
 
-use super::Functions;
 use super::calibrate::settled;
 use super::host::{JobError, JobHost, Piece, Result, go_on};
-use super::runner::ObservableExperiment;
+use super::runner::{ObservableExperiment, ObservableRunner};
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
@@ -55,18 +54,18 @@ const INSTRUMENT: Instrument = Instrument { numbers: observe::numbers, value: ob
 /// that were run now.
 pub(super) fn channels(
     host: &dyn JobHost,
-    functions: &Functions,
+    simulator: &ObservableRunner,
     observations: &[Observation],
     emulator: &Emulator,
-    simulator: &str,
+    version: &str,
 ) -> Result<Vec<(Channel, u32)>> {
     let channel = |observation: &Observation| {
         let experiment = observation.observable.experiment();
-        let text = serde_json::to_string(&(simulator, experiment, emulator.hash(), RUNS))
+        let text = serde_json::to_string(&(version, experiment, emulator.hash(), RUNS))
             .expect("numbers and text");
         let owner = format!("ob-{}", &hex::encode(Sha256::digest(text))[..16]);
         let plan = channel::design(emulator, &INSTRUMENT);
-        let (runs, built) = probes(host, functions, &owner, plan, observation.observable)?;
+        let (runs, built) = probes(host, simulator, &owner, plan, observation.observable)?;
         let channel = Channel::of(*observation, &runs, INSTRUMENT);
         let channel = channel.ok_or_else(|| {
             let what = observation.observable.kind();
@@ -80,7 +79,7 @@ pub(super) fn channels(
 /// Checks the sets that a calibration ended with.
 pub(super) fn look(
     host: &dyn JobHost,
-    functions: &Functions,
+    simulator: &ObservableRunner,
     channels: &[Channel],
     built: &[u32],
     sets: &[ParameterSet],
@@ -90,7 +89,7 @@ pub(super) fn look(
         let observation = channel.observation;
         let owner = format!("{}/{position}", host.id());
         let plan = channel::planned(sets, REPEATS, derive(seed, &[position as u64]));
-        let (runs, _) = probes(host, functions, &owner, plan, observation.observable)?;
+        let (runs, _) = probes(host, simulator, &owner, plan, observation.observable)?;
         let values = |runs: &[Probe]| -> Vec<f64> {
             let values =
                 runs.iter().filter_map(|run| Some(channel.value(&run.parameters, run.reduced?)));
@@ -120,7 +119,7 @@ pub(super) fn look(
 /// Carries out a plan, reusing stored runs; returns the runs and how many of them are new.
 fn probes(
     host: &dyn JobHost,
-    functions: &Functions,
+    simulator: &ObservableRunner,
     owner: &str,
     plan: Vec<Probe>,
     observable: Observable,
@@ -130,7 +129,7 @@ fn probes(
         let experiment =
             |of: &Probe| ObservableExperiment { observable, set: of.parameters, seed: of.seed };
         let experiments: Vec<_> = probes.iter().map(experiment).collect();
-        let runs = functions.observe.run_all(&experiments).into_iter();
+        let runs = simulator.run_all(&experiments).into_iter();
         runs.map(|run| run.outcome.map_err(|refusal| refusal.to_string())).collect()
     };
     let mut unsaved = None;

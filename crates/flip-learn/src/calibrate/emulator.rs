@@ -99,7 +99,7 @@ const COMMON: f64 = 0.09;
 /// [`Error`]
 ///
 /// # Panics
-/// `simulate` returns more or fewer outcomes than there are heaps.
+/// As [`calibrate`](super::calibrate).
 pub fn build(
     design: &Design,
     directions: Directions,
