@@ -176,7 +176,7 @@ impl App {
         let mut stands = Vec::new();
         for (k, powder) in campaign.powders.iter().enumerate() {
             let angles =
-                campaign.runs.iter().filter(|run| run.powder == k).filter_map(|run| run.repose_deg);
+                campaign.runs.iter().filter(|run| run.powder == k).filter_map(|run| run.value);
             let (sum, count) =
                 angles.fold((0.0, 0), |(sum, count), angle| (sum + angle, count + 1));
             if count == 0 {

@@ -48,8 +48,8 @@ pub mod traces;
 mod worth;
 
 pub use causes::catalogue::{Family, Mechanism};
-pub use causes::hypothesis::{Cause, Responses, Untestable};
-pub use causes::response::responses;
+pub use causes::hypothesis::{Cause, Untestable};
+pub use causes::response::{Responses, responses};
 pub use data::campaign::{self, Campaign, Covariate, Quantity, Run, Values, repeats_of};
 pub use data::reading;
 pub use extend::claimed::extend;

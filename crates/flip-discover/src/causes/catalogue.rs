@@ -325,3 +325,19 @@ fn ionised(campaign: &Campaign) -> Vec<usize> {
         _ => Vec::new(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn how_a_heap_is_poured_and_read_does_not_change_how_powder_runs_out() {
+        use Mechanism::{BaseFriction, FunnelHeight, MethodBias};
+        let moving = |quantity| Mechanism::ALL.into_iter().filter(move |it| it.moves(quantity));
+        assert_eq!(moving(Quantity::Repose).count(), Mechanism::ALL.len());
+        let of_heaps: Vec<Mechanism> =
+            Mechanism::ALL.into_iter().filter(|it| !it.moves(Quantity::FlowTime)).collect();
+        assert_eq!(of_heaps, [FunnelHeight, MethodBias, BaseFriction]);
+        assert_eq!(moving(Quantity::Scatter).count(), 0);
+    }
+}

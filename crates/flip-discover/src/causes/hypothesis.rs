@@ -2,11 +2,11 @@
 //! smooth function, and an unrecorded wander.
 
 use super::catalogue::{Family, Mechanism};
+use super::response::{Action, Responses};
 use super::signature::{Course, DEVIATIONS};
 use crate::data::campaign::{Campaign, Quantity, Values};
 use crate::thresholds::WANDER_SESSIONS_MIN;
 use nalgebra::DMatrix;
-use std::collections::BTreeMap;
 
 /// Length scales of smooth functions of a covariate, as shares of its range.
 const SMOOTH_LENGTHS: [f64; 2] = [0.35, 0.9];
@@ -46,10 +46,6 @@ impl Cause {
         }
     }
 }
-
-/// The simulator's response of each powder: how far a mechanism moves its angle, relative to the
-/// average over powders. Empty: all alike.
-pub type Responses = BTreeMap<Mechanism, Vec<f64>>;
 
 /// A mechanism this campaign cannot judge, and why.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -117,7 +113,7 @@ pub(crate) fn hypotheses(
     {
         match mechanism.courses(campaign) {
             Ok(courses) => {
-                let response = responses.get(&mechanism).map(Vec::as_slice);
+                let response = Action::of(mechanism).and_then(|action| responses.of(action));
                 let of = Hypothesis::of(Cause::Known(mechanism), &courses, &powder, response);
                 let sign = mechanism.sign().filter(|_| campaign.quantity == Quantity::Repose);
                 judged.push(Hypothesis { sign, ..of });

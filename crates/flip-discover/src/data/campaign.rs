@@ -6,7 +6,7 @@ use flip_core::stats::summary::mean;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// One angle of repose.
+/// One measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Run {
     /// Row of the file it came from, the header being row 1; the repeats behind a summary share one
@@ -16,8 +16,9 @@ pub struct Run {
     pub powder: usize,
     /// Day, numbered in order of time; runs of one day share its day effect.
     pub session: usize,
-    /// Angle of repose, degrees; none where it is to be predicted.
-    pub repose_deg: Option<f64>,
+    /// What was measured, in the unit of [`Campaign::quantity`]; none where it is to be predicted.
+    #[serde(rename = "repose_deg")]
+    pub value: Option<f64>,
 }
 
 /// Generates angles with this mean and SD: for a normal distribution these are sufficient, so the
@@ -72,16 +73,17 @@ pub enum Channel {
     Scatter,
 }
 
-/// The quantity measured in the runs.
+/// The quantity measured in the runs of a campaign, which gives their values a unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
     /// Angles of repose, degrees.
     #[default]
     Repose,
-    /// Times the powder takes to flow out, as returned by [`percent`].
+    /// Times in which the powder flows out: 100 times the natural logarithm of seconds.
     FlowTime,
-    /// How far repeats are from each other, as returned by [`percent`].
+    /// How far repeats are from each other: 100 times the natural logarithm of a contrast over the
+    /// powder's usual one.
     Scatter,
 }
 
@@ -141,8 +143,7 @@ pub struct Campaign {
     /// Time the powder took to flow out, s, one for each run; empty if never measured.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub flow_time_s: Vec<Option<f64>>,
-    /// What [`Run::repose_deg`] holds: angles in a laboratory's file; for derived campaigns, see
-    /// [`Quantity`].
+    /// The quantity of every [`Run::value`]: angles in a laboratory's file.
     #[serde(default, skip_serializing_if = "Quantity::is_repose")]
     pub quantity: Quantity,
 }
@@ -163,7 +164,7 @@ impl Campaign {
             );
             return Err(FieldError::new("measurements", message));
         }
-        if self.runs.iter().any(|run| run.repose_deg.is_some_and(|angle| !angle.is_finite())) {
+        if self.runs.iter().any(|run| run.value.is_some_and(|angle| !angle.is_finite())) {
             return Err(FieldError::new("repose_deg", "must be a finite number in every run"));
         }
         if !self.varies() {
@@ -189,19 +190,19 @@ impl Campaign {
     /// Whether any powder has two different angles.
     fn varies(&self) -> bool {
         let mut first: Vec<Option<f64>> = vec![None; self.powders.len()];
-        let mut angles = self.runs.iter().filter_map(|run| Some((run.powder, run.repose_deg?)));
+        let mut angles = self.runs.iter().filter_map(|run| Some((run.powder, run.value?)));
         angles.any(|(powder, angle)| *first[powder].get_or_insert(angle) != angle)
     }
 
     /// Indices of the runs that have an angle.
     pub fn measured(&self) -> Vec<usize> {
-        (0..self.runs.len()).filter(|&i| self.runs[i].repose_deg.is_some()).collect()
+        (0..self.runs.len()).filter(|&i| self.runs[i].value.is_some()).collect()
     }
 
     /// A copy without the angles of these runs, which are to be predicted and must not be seen.
     pub fn without(&self, hidden: &[usize]) -> Self {
         let mut rest = self.clone();
-        hidden.iter().for_each(|&i| rest.runs[i].repose_deg = None);
+        hidden.iter().for_each(|&i| rest.runs[i].value = None);
         rest
     }
 
@@ -219,7 +220,7 @@ impl Campaign {
         let moved = |run: &Run| Run {
             powder: place(run.powder),
             session: session + run.session,
-            repose_deg: None,
+            value: None,
             ..*run
         };
         let runs: Vec<Run> = other.runs.iter().map(moved).collect();
@@ -325,5 +326,28 @@ impl Covariate {
             Values::Numbers(values) => values.len(),
             Values::Levels { of, .. } => of.len(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_is_filled_by_its_session_and_only_then_by_all() {
+        let run = |session: usize| Run { row: 0, powder: 0, session, value: Some(30.0) };
+        let values = [Some(40.0), Some(44.0), None, Some(60.0), None];
+        let campaign = Campaign {
+            powders: vec!["sand".to_owned()],
+            runs: [0, 0, 0, 1, 2].map(run).to_vec(),
+            covariates: vec![Covariate {
+                name: "relative_humidity_pct".to_owned(),
+                values: Values::Numbers(values.to_vec()),
+            }],
+            ..Campaign::default()
+        };
+        // 42 is the mean of session 0, 48 that of 40, 44 and 60.
+        let filled = campaign.numbers("relative_humidity_pct").unwrap();
+        assert_eq!(filled, [40.0, 44.0, 42.0, 60.0, 48.0]);
     }
 }

@@ -10,7 +10,7 @@ use flip_core::domain::FieldError;
 pub(crate) fn flow_times(campaign: &Campaign) -> Option<Result<Campaign, FieldError>> {
     campaign.flow_time_s.iter().any(Option::is_some).then(|| {
         let runs = campaign.runs.iter().zip(&campaign.flow_time_s);
-        let runs = runs.map(|(run, time)| Run { repose_deg: time.map(percent), ..*run }).collect();
+        let runs = runs.map(|(run, time)| Run { value: time.map(percent), ..*run }).collect();
         let flow = Campaign {
             runs,
             flow_time_s: Vec::new(),
@@ -44,8 +44,8 @@ mod tests {
         let (mut runs, mut flow_time_s) = (Vec::new(), Vec::new());
         for k in 0..120 {
             let (session, powder) = (k / 6, k % 3);
-            let repose_deg = Some(30.0 + 4.0 * powder as f64 + days[session][0] + 1.5 * normal());
-            runs.push(Run { row: k as u32 + 2, powder, session, repose_deg });
+            let value = Some(30.0 + 4.0 * powder as f64 + days[session][0] + 1.5 * normal());
+            runs.push(Run { row: k as u32 + 2, powder, session, value });
             let log = slower(humidity[session]) + days[session][1] + 0.05 * normal();
             flow_time_s.push((k % 11 != 0).then(|| (5.0 + powder as f64) * libm::exp(log)));
         }

@@ -3,4 +3,6 @@
 pub mod campaign;
 pub(crate) mod flow;
 pub mod reading;
+#[cfg(test)]
+pub(crate) mod sample;
 pub(crate) mod scenario;

@@ -24,12 +24,7 @@ pub fn extended(
 ) -> (Campaign, usize) {
     let first = campaign.runs.len();
     let mut more = Campaign { flow_time_s: Vec::new(), ..campaign.clone() };
-    more.runs.extend(runs.iter().map(|&(powder, _, repose_deg)| Run {
-        row: 0,
-        powder,
-        session,
-        repose_deg,
-    }));
+    more.runs.extend(runs.iter().map(|&(powder, _, value)| Run { row: 0, powder, session, value }));
     for Covariate { name, values } in &mut more.covariates {
         match values {
             Values::Numbers(values) => {

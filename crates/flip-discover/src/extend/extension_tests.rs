@@ -68,6 +68,16 @@ fn day(humidity: f64, batch: &str) -> Conditions {
 }
 
 #[test]
+fn below_the_reference_a_mechanism_does_nothing_and_a_reading_goes_on() {
+    let [humidity, _, operator] = &extended().extensions[..] else { panic!() };
+    assert_eq!(humidity.shift_deg(None, &day(39.0, "A")), 0.0);
+    assert!(humidity.shift_deg(None, &day(41.0, "A")) > 0.0);
+    let by = |name: &str| [("operator".to_owned(), Condition::Name(name.into()))].into();
+    // A quarter of -2 deg below the campaign's average, and three quarters above it.
+    assert_eq!(["A", "B"].map(|name| operator.shift_deg(None, &by(name))), [0.5, -1.5]);
+}
+
+#[test]
 fn the_reference_is_the_base_and_strengths_grow_from_it() {
     let extended = extended();
     assert!(extended.at(Some("salt"), &day(40.0, "A")).unwrap().is_none());
@@ -169,7 +179,7 @@ fn campaign(covariate: &str) -> Campaign {
             let (session, powder) = (k / 3, k % 3);
             let angle =
                 30.0 + 5.0 * powder as f64 + 4.0 * (value(session) - 30.0) / 40.0 + 0.4 * noise(k);
-            Run { row: k as u32 + 2, powder, session, repose_deg: Some(angle) }
+            Run { row: k as u32 + 2, powder, session, value: Some(angle) }
         })
         .collect();
     let values = Values::Numbers((0..180).map(|k| Some(value(k / 3))).collect());

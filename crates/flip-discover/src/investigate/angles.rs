@@ -5,8 +5,9 @@ use super::side::Beside;
 use super::words;
 use crate::causes::catalogue::Mechanism;
 use crate::causes::follows;
-use crate::causes::hypothesis::{Cause, Responses, Untestable};
-use crate::causes::response::amplitude;
+use crate::causes::hypothesis::{Cause, Untestable};
+use crate::causes::response::Action;
+use crate::causes::response::Responses;
 use crate::data::campaign::{Campaign, Run};
 use crate::judge::claim::Claim;
 use crate::judge::posterior::Posterior;
@@ -268,17 +269,14 @@ fn rows(campaign: &Campaign, posterior: &Posterior<'_>, is_found: bool) -> Vec<R
         Row {
             row: repeats[0].row,
             powder: campaign.powders[repeats[0].powder].clone(),
-            measured_deg: mean(
-                &repeats.iter().filter_map(|run| run.repose_deg).collect::<Vec<_>>(),
-            ),
-            before_deg: known(before.mean_deg),
-            before_sd_deg: before.sd_deg,
-            after_deg: known(after.mean_deg),
-            after_sd_deg: after.sd_deg,
+            measured_deg: mean(&repeats.iter().filter_map(|run| run.value).collect::<Vec<_>>()),
+            before_deg: known(before.mean),
+            before_sd_deg: before.sd,
+            after_deg: known(after.mean),
+            after_sd_deg: after.sd,
         }
     };
-    let same =
-        |a: &Run, b: &Run| a.row == b.row && a.repose_deg.is_some() == b.repose_deg.is_some();
+    let same = |a: &Run, b: &Run| a.row == b.row && a.value.is_some() == b.value.is_some();
     campaign.runs.chunk_by(same).map(row).collect()
 }
 
@@ -290,11 +288,15 @@ fn parameters(mechanism: Mechanism, finding: &Finding) -> Vec<ParameterReport> {
         ci95: finding.ci95,
         unit: finding.unit.clone(),
     };
-    let of = |effect_deg: f64| amplitude(mechanism, effect_deg);
-    let amplitude = of(finding.effect).map(|(name, value, unit)| {
-        let mut ci95 = finding.ci95.map(|end| of(end).map_or(value, |it| it.1));
+    let amplitude = Action::of(mechanism).map(|action| {
+        let mut ci95 = finding.ci95.map(|end| action.amplitude(end));
         ci95.sort_by(f64::total_cmp);
-        ParameterReport { name: name.to_owned(), value, ci95, unit: unit.to_owned() }
+        ParameterReport {
+            name: action.name.to_owned(),
+            value: action.amplitude(finding.effect),
+            ci95,
+            unit: action.unit.to_owned(),
+        }
     });
     std::iter::once(effect).chain(amplitude).collect()
 }
@@ -321,4 +323,35 @@ fn causes(prepared: &Prepared, posterior: &Posterior<'_>, claim: &Claim) -> Vec<
         prepared.hypotheses.iter().filter_map(|it| report(&it.cause)).collect();
     causes.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
     causes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::sample;
+    use crate::judge::claim::{Proposal, Told};
+
+    #[test]
+    fn a_claimed_cause_that_predicts_better_has_level_two() {
+        let campaign = sample::campaign(1, |at| 3.0 * at.operator as f64);
+        let responses = Responses::new();
+        let prepared = Prepared::new(&campaign, &responses).unwrap();
+        let posterior = Posterior::new(&prepared);
+        let operator = Cause::Known(Mechanism::Operator);
+        assert!(posterior.inclusion_of(&operator) >= CLAIM);
+        let told = || -> Vec<Told> {
+            effects::told(&campaign, &responses, std::slice::from_ref(&operator)).unwrap()
+        };
+        let level = |is_accepted: bool| {
+            let claim = Claim::of(Proposal::Cause, told(), is_accepted);
+            let causes = causes(&prepared, &posterior, &claim);
+            let levels = |is_operator: bool| -> Vec<u8> {
+                let of = causes.iter().filter(|it| (it.mechanism == "operator") == is_operator);
+                of.map(|it| it.confidence_level).collect()
+            };
+            assert!(levels(false).iter().all(|&level| level == 1));
+            levels(true)
+        };
+        assert_eq!((level(true), level(false)), (vec![2], vec![1]));
+    }
 }

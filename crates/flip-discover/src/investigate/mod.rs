@@ -19,8 +19,7 @@ mod side;
 mod words;
 
 use crate::causes::follows;
-use crate::causes::hypothesis::Responses;
-use crate::causes::response::responses;
+use crate::causes::response::{Responses, responses};
 use crate::data::campaign::Campaign;
 use crate::data::flow::flow_times;
 use crate::judge::posterior::Posterior;
@@ -30,9 +29,9 @@ use crate::report::{CauseReport, NullCheck, Report, Verdict};
 use crate::traces::report::{TraceReport, report};
 use crate::traces::{self, Traces, screen_traces};
 use angles::angles;
-use holm::{holm, without};
 use flip_core::domain::FieldError;
 use flip_core::domain::job::Progress;
+use holm::{holm, without};
 use side::{Beside, Heard};
 use std::ops::ControlFlow;
 

@@ -36,11 +36,11 @@ pub(crate) fn scatters(campaign: &Campaign, explained: &[f64]) -> Result<Campaig
     let mut runs_of: BTreeMap<u32, usize> = BTreeMap::new();
     campaign.runs.iter().for_each(|run| *runs_of.entry(run.row).or_default() += 1);
     // The runs behind a summary were generated from it.
-    let is_single = |run: &Run| run.repose_deg.is_some() && runs_of[&run.row] == 1;
+    let is_single = |run: &Run| run.value.is_some() && runs_of[&run.row] == 1;
     for (i, run) in campaign.runs.iter().enumerate().filter(|(_, run)| is_single(run)) {
         cells.entry((run.session, run.powder)).or_default().push(i);
     }
-    let left = |i: usize| campaign.runs[i].repose_deg.unwrap_or(0.0) - explained[i];
+    let left = |i: usize| campaign.runs[i].value.unwrap_or(0.0) - explained[i];
     let contrast = |runs: &[usize], k: usize| {
         let before = runs[..k].iter().map(|&i| left(i)).sum::<f64>() / k as f64;
         (k as f64 / (k + 1) as f64).sqrt() * (left(runs[k]) - before).abs()
@@ -61,7 +61,7 @@ pub(crate) fn scatters(campaign: &Campaign, explained: &[f64]) -> Result<Campaig
         .map(|(runs, z)| {
             let first = campaign.runs[runs[0]];
             let usual = usual[first.powder];
-            (runs.as_slice(), Run { repose_deg: Some(percent((z / usual).max(LEAST))), ..first })
+            (runs.as_slice(), Run { value: Some(percent((z / usual).max(LEAST))), ..first })
         })
         .unzip();
     let covariates = campaign.covariates.iter().map(|covariate| Covariate {
@@ -104,7 +104,7 @@ pub(crate) fn simulated(campaign: &Campaign, seed: u64, simulations: u32) -> DMa
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x5343_4154, k as u64]));
         for run in &mut one.runs {
             let z = normal::quantile(rng.random::<f64>().max(f64::EPSILON)).abs();
-            run.repose_deg = Some(percent(z.max(LEAST)));
+            run.value = Some(percent(z.max(LEAST)));
         }
         column.copy_from_slice(&noise::drawn_in(&one).0);
     }
@@ -128,7 +128,7 @@ mod tests {
                 let (session, powder) = (k / 6, k % 2);
                 let noise = normal::quantile(rng.random::<f64>().max(f64::EPSILON));
                 let angle = 30.0 + 5.0 * powder as f64 + sd(humidity[session]) * noise;
-                Run { row: k as u32 + 2, powder, session, repose_deg: Some(angle) }
+                Run { row: k as u32 + 2, powder, session, value: Some(angle) }
             })
             .collect();
         let values = Values::Numbers(runs.iter().map(|run| Some(humidity[run.session])).collect());
@@ -154,14 +154,14 @@ mod tests {
         let mut three = campaign(1, |_| 1.0);
         let angles = [31.0, 32.0, 36.0];
         for run in three.runs.iter_mut().filter(|run| run.session == 0 && run.powder == 0) {
-            run.repose_deg = Some(angles[run.row as usize / 2 - 1]);
+            run.value = Some(angles[run.row as usize / 2 - 1]);
         }
         let explained = vec![0.0; 180];
         let made = scatters(&three, &explained).unwrap();
         assert_eq!(made.runs.len(), 120, "two of three runs of a cell");
         // z1 = (32 - 31) / sqrt 2, z2 = sqrt(2 / 3) (36 - 31.5): the difference of their logarithms
         // is known whatever the powder's usual scatter.
-        let [a, b] = [0, 1].map(|k| made.runs[k].repose_deg.unwrap());
+        let [a, b] = [0, 1].map(|k| made.runs[k].value.unwrap());
         let expected = 100.0 * ((2.0f64 / 3.0).sqrt() * 4.5 * 2.0f64.sqrt()).ln();
         assert!((b - a - expected).abs() < 1e-9, "{a} {b} {expected}");
         // A shift of all runs of a cell changes nothing.
@@ -171,7 +171,7 @@ mod tests {
             made.runs
                 .iter()
                 .zip(&again.runs)
-                .all(|(a, b)| { (a.repose_deg.unwrap() - b.repose_deg.unwrap()).abs() < 1e-6 })
+                .all(|(a, b)| { (a.value.unwrap() - b.value.unwrap()).abs() < 1e-6 })
         );
     }
 

@@ -7,7 +7,8 @@
 
 use super::angles::{evidence, worth};
 use super::words;
-use crate::causes::hypothesis::{Cause, Responses};
+use crate::causes::hypothesis::Cause;
+use crate::causes::response::Responses;
 use crate::data::campaign::Campaign;
 use crate::judge::claim::{Claim, Proposal};
 use crate::judge::posterior::Posterior;

@@ -82,7 +82,7 @@ impl Laboratory {
                     + days[session]
                     + days_of_powders[5 * session + powder];
                 let moved = if sd > 0.0 { effect_deg * raw[i] / sd } else { 0.0 };
-                Run { row: i as u32 + 2, powder, session, repose_deg: Some(centre + noise + moved) }
+                Run { row: i as u32 + 2, powder, session, value: Some(centre + noise + moved) }
             })
             .collect();
         let numbers = |name: &str, values: &[f64]| Covariate {
@@ -171,7 +171,7 @@ fn squares(campaign: &Campaign, angles: &[f64]) -> [f64; 3] {
 fn angles_whose_signs_are_drawn_anew_scatter_as_much_at_every_level() {
     for seed in 0..3 {
         let campaign = Laboratory::new(seed).campaign(0.0, |_, _| 0.0);
-        let angles: Vec<f64> = campaign.runs.iter().filter_map(|run| run.repose_deg).collect();
+        let angles: Vec<f64> = campaign.runs.iter().filter_map(|run| run.value).collect();
         let redrawn = noise::with_signs_redrawn(&campaign, &angles, seed, 400);
         let mut means = [0.0; 3];
         for column in redrawn.column_iter() {
@@ -268,7 +268,7 @@ fn campaigns_that_say_nothing_are_refused() {
     let odd = Campaign { runs: campaign.runs[..100].to_vec(), ..campaign.clone() };
     assert_eq!(odd.checked().unwrap_err().field, "relative_humidity_pct");
     let mut flat = campaign.clone();
-    flat.runs.iter_mut().for_each(|run| run.repose_deg = Some(30.0));
+    flat.runs.iter_mut().for_each(|run| run.value = Some(30.0));
     assert_eq!(flat.checked().unwrap_err().field, "repose_deg");
     assert_eq!(
         screen(&campaign, &Responses::new(), &Settings { simulations: 10, ..SETTINGS })
@@ -294,9 +294,7 @@ fn a_summary_stands_for_its_repeats() {
 
 fn investigated(campaign: &Campaign) -> Report {
     let never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
-    angles::angles(campaign, &Responses::new(), "base", &SETTINGS, |p| p, never)
-        .unwrap()
-        .unwrap()
+    angles::angles(campaign, &Responses::new(), "base", &SETTINGS, |p| p, never).unwrap().unwrap()
 }
 
 #[test]
@@ -436,7 +434,7 @@ fn covariates_of_two_values_and_powders_of_one_day_leave_nothing_out_that_is_not
     lab.rest.iter_mut().for_each(|rest| *rest = if *rest > 10.0 { 120.0 } else { 2.0 });
     let mut campaign = lab.campaign(1.5, |lab, i| lab.rest[i]);
     for run in campaign.runs.iter_mut().filter(|run| run.powder == 2 && run.session > 0) {
-        run.repose_deg = None;
+        run.value = None;
     }
     let report = investigated(&campaign);
     assert_eq!(report.causes[0].mechanism, "rest_time", "{}", report.sentence);

@@ -38,7 +38,7 @@ pub fn weights(campaign: &Campaign) -> Vec<f64> {
     let mut days: std::collections::BTreeMap<(usize, usize), Vec<f64>> =
         std::collections::BTreeMap::new();
     for run in &campaign.runs {
-        if let Some(angle) = run.repose_deg {
+        if let Some(angle) = run.value {
             days.entry((run.session, run.powder)).or_default().push(angle);
         }
     }
@@ -69,7 +69,7 @@ pub fn drawn_in(campaign: &Campaign) -> (Vec<f64>, Vec<f64>) {
     };
     let of_powder = |powder: usize| {
         let runs = campaign.runs.iter().filter(|run| run.powder == powder);
-        let angles: Vec<f64> = runs.filter_map(|run| run.repose_deg).collect();
+        let angles: Vec<f64> = runs.filter_map(|run| run.value).collect();
         if angles.is_empty() {
             return (0.0, 0.0);
         }
@@ -85,7 +85,7 @@ pub fn drawn_in(campaign: &Campaign) -> (Vec<f64>, Vec<f64>) {
     let known: Vec<(f64, f64)> = (0..campaign.powders.len()).map(of_powder).collect();
     let run = |run: &Run| {
         let (centre, reach) = known[run.powder];
-        let angle = run.repose_deg? - centre;
+        let angle = run.value? - centre;
         // More than half of the angles are equal: outliers cannot be identified.
         Some(if reach == 0.0 { angle } else { angle.clamp(-reach, reach) })
     };

@@ -52,10 +52,10 @@ pub(crate) struct Posterior<'a> {
 /// Mean and SD of the predicted reading of a row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Predicted {
-    /// Degrees.
-    pub mean_deg: f64,
-    /// Degrees, including noise.
-    pub sd_deg: f64,
+    /// In the unit of the campaign's quantity.
+    pub mean: f64,
+    /// The same, including noise.
+    pub sd: f64,
 }
 
 /// A mixture of Student's t distributions.
@@ -116,7 +116,7 @@ impl<'a> Posterior<'a> {
         let rows = campaign.runs.len();
         let before = self.solved(|it| it.parts.is_empty());
         let after = self.solved(|_| true);
-        let mean = |solved: &[Solved], row: usize| {
+        let moments = |solved: &[Solved], row: usize| {
             let run = solved.iter().map(|it| it.row(row));
             Mixture(run.collect()).moments()
         };
@@ -130,14 +130,14 @@ impl<'a> Posterior<'a> {
                     false => f64::NAN,
                 };
                 [&before, &after].map(|solved| {
-                    let (mean_deg, sd_deg) = mean(solved, row);
-                    Predicted { mean_deg: centre + mean_deg, sd_deg }
+                    let (mean, sd) = moments(solved, row);
+                    Predicted { mean: centre + mean, sd }
                 })
             })
             .collect()
     }
 
-    /// Contribution of the causes to each run, without noise and powders' means, degrees: `[run]`;
+    /// Contribution of the causes to each run, without noise and powders' means: `[run]`;
     /// zero is the mean of a powder's measured runs.
     pub fn shifts(&self) -> Vec<f64> {
         let solved = self.solved(|_| true);
@@ -146,8 +146,7 @@ impl<'a> Posterior<'a> {
             .collect()
     }
 
-    /// Contribution of a cause to each run where it is at work, without noise and powders' means,
-    /// degrees.
+    /// Contribution of a cause to each run where it is at work, without noise and powders' means.
     pub fn shifts_by(&self, cause: &Cause) -> Vec<f64> {
         let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause);
         let solved = self.solved(|it| it.parts.iter().any(|part| Some(part.0) == h));
@@ -463,3 +462,6 @@ impl Mixture {
         })
     }
 }
+
+#[cfg(test)]
+mod tests;

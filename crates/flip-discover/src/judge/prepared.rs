@@ -2,7 +2,8 @@
 //! evidence of each.
 
 use super::noise::{self, Noise};
-use crate::causes::hypothesis::{Hypothesis, Responses, Untestable, hypotheses};
+use crate::causes::hypothesis::{Hypothesis, Untestable, hypotheses};
+use crate::causes::response::Responses;
 use crate::data::campaign::Campaign;
 use flip_core::domain::FieldError;
 use flip_core::stats::mixed_model::{MixedModelError, Signature, Whitening, log_mean_exp};
@@ -19,7 +20,7 @@ pub(crate) struct Prepared {
     pub measured: Vec<usize>,
     /// SD of each run's own noise over the root mean square of the measured ones.
     pub weights: Vec<f64>,
-    /// Median of each powder, degrees.
+    /// Median of each powder.
     pub centres: Vec<f64>,
     /// Measured angles less their powder's centre, outliers clamped.
     pub observed: Vec<f64>,
@@ -52,9 +53,9 @@ impl Prepared {
         })
     }
 
-    /// SD of a repeat, degrees: root mean square over runs, with the noise that explains these
+    /// SD of a repeat: root mean square over runs, with the noise that explains these
     /// angles best.
-    pub fn repeat_sd_deg(&self, angles: &[f64]) -> f64 {
+    pub fn repeat_sd(&self, angles: &[f64]) -> f64 {
         let y = DMatrix::from_column_slice(angles.len(), 1, angles);
         let of = |noise: &Noise| {
             let squares = noise.model.squares(&y)[0];

@@ -18,7 +18,8 @@
 use super::noise;
 use super::posterior::Posterior;
 use super::prepared::Prepared;
-use crate::causes::hypothesis::{Cause, Hypothesis, Responses, Untestable};
+use crate::causes::hypothesis::{Cause, Hypothesis, Untestable};
+use crate::causes::response::Responses;
 use crate::data::campaign::Campaign;
 use flip_core::domain::FieldError;
 use flip_core::stats::mixed_model::log_mean_exp;
@@ -95,7 +96,7 @@ pub fn screen(
         .ok_or_else(|| FieldError::new("measurements", "stopped"))
 }
 
-/// `explained`: the estimated contribution of causes to each run, degrees; the scatter of the rest
+/// `explained`: the estimated contribution of causes to each run; the scatter of the rest
 /// is judged. `on_cause` receives the share of causes judged so far; `Break` stops, and there is no
 /// screening.
 pub(crate) fn screen_prepared(
@@ -105,19 +106,24 @@ pub(crate) fn screen_prepared(
     settings: &Settings,
     on_cause: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Option<Screening> {
-    let Prepared { weights, noises, observed, .. } = prepared;
-    let simulated = noise::with_simulated(
-        campaign,
-        weights,
-        noises,
-        observed,
-        settings.seed,
-        settings.simulations,
-    );
+    screen_among(prepared, &nulls(prepared, campaign, explained, settings), on_cause)
+}
+
+/// Campaigns of the same design in which nothing is wrong, one a column: with noise drawn from what
+/// is known of it, and the residuals after the causes with signs redrawn.
+fn nulls(
+    prepared: &Prepared,
+    campaign: &Campaign,
+    explained: &[f64],
+    settings: &Settings,
+) -> [DMatrix<f64>; 2] {
+    let Settings { seed, simulations } = *settings;
+    let Prepared { weights, noises, observed, measured, .. } = prepared;
+    let drawn = noise::with_simulated(campaign, weights, noises, observed, seed, simulations);
     let left: Vec<f64> =
-        prepared.measured.iter().zip(observed).map(|(&i, angle)| angle - explained[i]).collect();
-    let redrawn = noise::with_signs_redrawn(campaign, &left, settings.seed, settings.simulations);
-    screen_among(prepared, &[simulated.columns_range(1..).into_owned(), redrawn], on_cause)
+        measured.iter().zip(observed).map(|(&i, angle)| angle - explained[i]).collect();
+    let redrawn = noise::with_signs_redrawn(campaign, &left, seed, simulations);
+    [drawn.columns_range(1..).into_owned(), redrawn]
 }
 
 /// `nulls`: groups of campaigns of the same design in which nothing is wrong, one a column; the
@@ -165,4 +171,33 @@ pub(crate) fn screen_among(
     judged.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     let untestable = prepared.untestable.clone();
     Some(Screening { p_value, judged, untestable, statistic: largest(0), null })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::sample;
+
+    #[test]
+    fn the_larger_p_value_of_both_nulls_counts() {
+        const SETTINGS: Settings = Settings { seed: 1, simulations: 99 };
+        let go_on = |_: f64| ControlFlow::Continue(());
+        let mut strict = [0, 0];
+        for seed in 0..6 {
+            // Humid days scatter more, which only the residuals of this campaign know.
+            let campaign = sample::campaign(seed, |at| {
+                (at.supply * 7919.0).sin() * (at.humidity / 20.0).powi(2)
+            });
+            let prepared = Prepared::new(&campaign, &Responses::new()).unwrap();
+            let explained = vec![0.0; campaign.runs.len()];
+            let both = screen_prepared(&prepared, &campaign, &explained, &SETTINGS, go_on).unwrap();
+            let [drawn, redrawn] = nulls(&prepared, &campaign, &explained, &SETTINGS);
+            let alone = [drawn, redrawn]
+                .map(|null| screen_among(&prepared, &[null], go_on).unwrap().p_value);
+            assert_eq!(both.p_value, alone[0].max(alone[1]));
+            (0..2).for_each(|k| strict[k] += usize::from(alone[k] > alone[1 - k]));
+        }
+        // Each is the larger one somewhere, so that neither can be left out.
+        assert!(strict.iter().all(|&count| count > 0), "{strict:?}");
+    }
 }

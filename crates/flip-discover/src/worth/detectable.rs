@@ -39,7 +39,7 @@ pub(crate) fn detectable(
         noise::with_simulated(campaign, weights, noises, &left, settings.seed ^ 1, CAMPAIGNS);
     let drawn = drawn.columns(1, CAMPAIGNS as usize).into_owned();
     let threshold = quantile(&screening.null, 0.95).unwrap_or(0.0);
-    let repeat_deg = prepared.repeat_sd_deg(&left);
+    let repeat_sd = prepared.repeat_sd(&left);
     let of = |hypothesis: &Hypothesis| {
         let Cause::Known(mechanism) = hypothesis.cause else { return None };
         let features = hypothesis.features[0].select_rows(measured);
@@ -71,7 +71,7 @@ pub(crate) fn detectable(
         // used.
         let (range, all) = (between(0.05, 0.95)?, between(0.0, 1.0)?);
         let range = if range < all / 2.0 { all } else { range };
-        let effect_deg = high * repeat_deg * range;
+        let effect_deg = high * repeat_sd * range;
         Some(Detectable { mechanism: mechanism.name().0.to_owned(), effect_deg, power: POWER })
     };
     hypotheses.iter().filter_map(of).collect()

@@ -1,6 +1,7 @@
 //! How large an effect is, on which powders, and its course over the recorded covariates.
 
-use crate::causes::hypothesis::{Cause, Responses};
+use crate::causes::hypothesis::Cause;
+use crate::causes::response::Responses;
 use crate::data::campaign::{Campaign, Covariate, Values};
 use crate::data::scenario::{Conditions, Setting, extended, levels, percentile};
 use crate::judge::claim::Told;
@@ -207,7 +208,7 @@ pub(crate) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
             let of_place = next..next + powders;
             let mean =
                 |of: &dyn Fn(usize) -> f64| of_place.clone().map(of).sum::<f64>() / powders as f64;
-            course.push([place, mean(&|i| shifts[i]), BAND * mean(&|i| predicted[i][1].sd_deg)]);
+            course.push([place, mean(&|i| shifts[i]), BAND * mean(&|i| predicted[i][1].sd)]);
             next += powders;
         }
         // The course is of this covariate alone: the average contribution of the others is
@@ -228,4 +229,25 @@ pub(crate) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
 fn row_values(campaign: &Campaign, of: impl Fn(usize) -> Option<f64>) -> Vec<Option<f64>> {
     let starts = |i: &usize| *i == 0 || campaign.runs[*i].row != campaign.runs[i - 1].row;
     (0..campaign.runs.len()).filter(starts).map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::sample;
+
+    #[test]
+    fn a_course_is_of_its_covariate_alone() {
+        let campaign = sample::campaign(1, |at| 0.08 * at.humidity + 1.5 * at.operator as f64);
+        let curves = curves(&campaign, &Responses::new()).unwrap();
+        for curve in &curves {
+            let course: Vec<f64> = curve.course.iter().map(|place| place[1]).collect();
+            let middle = course.iter().sum::<f64>() / course.len() as f64;
+            assert!(middle.abs() < 1e-9, "{}: {middle}", curve.covariate);
+        }
+        // From 20 to 64 % by 0.08 deg a percent, and 1.5 deg from Ada to Ben.
+        let rise = |curve: &Curve| curve.course[curve.course.len() - 1][1] - curve.course[0][1];
+        assert!((2.5..4.5).contains(&rise(&curves[0])), "{}", rise(&curves[0]));
+        assert!((1.0..2.0).contains(&rise(&curves[2])), "{}", rise(&curves[2]));
+    }
 }

@@ -6,7 +6,8 @@
 //! runs, and a success is counted when the right cause then holds [`ANSWER`] of their joint
 //! probability.
 
-use crate::causes::hypothesis::{Cause, Responses};
+use crate::causes::hypothesis::Cause;
+use crate::causes::response::Responses;
 use crate::data::campaign::{Campaign, Values};
 use crate::data::scenario::{Conditions, Setting, extended, levels, percentile};
 use crate::judge::posterior::Posterior;
@@ -143,7 +144,7 @@ pub(crate) fn settling(
         return None;
     }
     let powders: Vec<usize> = (0..campaign.powders.len()).collect();
-    let needed = (2.0 * (1.96 + 0.84) * prepared.repeat_sd_deg(&prepared.observed) / SETTLED_DEG)
+    let needed = (2.0 * (1.96 + 0.84) * prepared.repeat_sd(&prepared.observed) / SETTLED_DEG)
         .powi(2)
         .ceil() as usize;
     let cells = powders.len() << design.len();
@@ -251,13 +252,13 @@ impl Game<'_> {
         let old = &self.prepared.observed;
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[0x504c_4159]));
         let mut normal = || normal::quantile(rng.random::<f64>().clamp(1e-12, 1.0 - 1e-12));
-        let repeat_deg = self.prepared.repeat_sd_deg(old);
+        let repeat_sd = self.prepared.repeat_sd(old);
         let right_in = |play: usize| play % self.causes.len();
         let mut draw = |play: usize| -> Vec<f64> {
-            let (day, size) = (DAY * repeat_deg * normal(), 1.0 + SIZE_SD * normal());
+            let (day, size) = (DAY * repeat_sd * normal(), 1.0 + SIZE_SD * normal());
             shifts[right_in(play)]
                 .iter()
-                .map(|shift| size * shift + day + repeat_deg * normal())
+                .map(|shift| size * shift + day + repeat_sd * normal())
                 .collect()
         };
         let drawn: Vec<Vec<f64>> = (0..PLAYS).map(&mut draw).collect();

@@ -8,7 +8,7 @@
 //! intervals   2000 resamples of the sessions that were left out
 //! ```
 
-use crate::causes::hypothesis::Responses;
+use crate::causes::response::Responses;
 use crate::data::campaign::{Campaign, Quantity};
 use crate::data::scenario::{percentile, quantile};
 use crate::judge::posterior::{Posterior, Predicted};
@@ -39,6 +39,46 @@ struct Hidden {
     sds: [f64; 2],
 }
 
+/// Runs hidden together, in each of three ways.
+struct Splits {
+    days: Vec<Vec<usize>>,
+    powders: Vec<Vec<usize>>,
+    range: Vec<Vec<usize>>,
+}
+
+impl Splits {
+    /// Returns `None` with too few sessions.
+    fn of(campaign: &Campaign, covariate: Option<&str>) -> Option<Self> {
+        let run = |i: usize| &campaign.runs[i];
+        let mut sessions: Vec<usize> =
+            campaign.measured().iter().map(|&i| run(i).session).collect();
+        sessions.sort_unstable();
+        sessions.dedup();
+        if sessions.len() < HELD_OUT_SESSIONS_MIN {
+            return None;
+        }
+        let folds = FOLDS.min(sessions.len());
+        let fold_of = |session: usize| sessions.binary_search(&session).unwrap_or(0) % folds;
+        let of_fold = |fold: usize| rows(campaign, |i| fold_of(run(i).session) == fold);
+        let of_powder = |powder: usize| rows(campaign, |i| run(i).powder == powder);
+        Some(Self {
+            days: (0..folds).map(of_fold).collect(),
+            powders: (0..campaign.powders.len()).map(of_powder).collect(),
+            range: covariate.map_or(Vec::new(), |name| ends_of_range(campaign, name)),
+        })
+    }
+}
+
+/// Runs in the lowest and in the highest fifth of a covariate. Where a fifth of the runs share the
+/// lowest value, nothing lies below it.
+fn ends_of_range(campaign: &Campaign, covariate: &str) -> Vec<Vec<usize>> {
+    let place = |share: f64| percentile(campaign, covariate, share);
+    let (Some(low), Some(high)) = (place(0.2), place(0.8)) else { return Vec::new() };
+    let values = campaign.numbers(covariate).unwrap_or_default();
+    let ends = [rows(campaign, |i| values[i] < low), rows(campaign, |i| values[i] > high)];
+    ends.into_iter().filter(|end| !end.is_empty()).collect()
+}
+
 /// The gain on left-out data; `None` with too few sessions, or if the rest of a fold cannot be
 /// judged.
 pub(crate) fn gain(
@@ -48,77 +88,70 @@ pub(crate) fn gain(
     settings: &Settings,
     mut on_fold: impl FnMut(f64) -> ControlFlow<()>,
 ) -> Result<Option<Gain>, Stopped> {
-    let mut sessions: Vec<usize> =
-        campaign.measured().iter().map(|&i| campaign.runs[i].session).collect();
-    sessions.sort_unstable();
-    sessions.dedup();
-    if sessions.len() < HELD_OUT_SESSIONS_MIN {
-        return Ok(None);
-    }
-    let folds = FOLDS.min(sessions.len());
-    let fold_of = |session: usize| sessions.binary_search(&session).unwrap_or(0) % folds;
-    let of_days =
-        (0..folds).map(|fold| rows(campaign, |i| fold_of(campaign.runs[i].session) == fold));
-    let of_powders = (0..campaign.powders.len())
-        .map(|powder| rows(campaign, |i| campaign.runs[i].powder == powder));
-    let ends = covariate.and_then(|name| {
-        Some((name, percentile(campaign, name, 0.2)?, percentile(campaign, name, 0.8)?))
-    });
-    let of_range: Vec<Vec<usize>> = ends.map_or(Vec::new(), |(name, low, high)| {
-        let values = campaign.numbers(name).unwrap_or_default();
-        let ends = [rows(campaign, |i| values[i] < low), rows(campaign, |i| values[i] > high)];
-        // Where a fifth of the runs share the lowest value, nothing lies below it.
-        ends.into_iter().filter(|end| !end.is_empty()).collect()
-    });
-    let all = folds + campaign.powders.len() + of_range.len();
+    let Some(splits) = Splits::of(campaign, covariate) else { return Ok(None) };
+    let all = splits.days.len() + splits.powders.len() + splits.range.len();
     let mut done = 0;
-    let mut next =
-        |hidden: Vec<usize>, centred: bool, scored: &mut Vec<Hidden>| -> Result<bool, Stopped> {
-            let Ok(of_fold) = fold(campaign, responses, &hidden, centred, settings) else {
-                return Ok(false);
-            };
-            // A powder that is hidden completely has no angle, only its course.
-            scored.extend(
-                of_fold.into_iter().filter(|it| it.errors.iter().all(|error| error.is_finite())),
-            );
-            done += 1;
-            if on_fold(f64::from(done) / all as f64).is_break() { Err(Stopped) } else { Ok(true) }
-        };
-    let (mut days, mut powders, mut range) = (Vec::new(), Vec::new(), Vec::new());
-    for hidden in of_days {
-        if !next(hidden, false, &mut days)? {
+    let mut next = |hidden: &[usize], centred: bool| -> Result<Option<Vec<Hidden>>, Stopped> {
+        let Ok(mut scored) = fold(campaign, responses, hidden, centred, settings) else {
             return Ok(None);
+        };
+        // A powder that is hidden completely has no angle, only its course.
+        scored.retain(|run| run.errors.iter().all(|error| error.is_finite()));
+        done += 1;
+        if on_fold(f64::from(done) / all as f64).is_break() {
+            Err(Stopped)
+        } else {
+            Ok(Some(scored))
         }
+    };
+    let (mut days, mut powders, mut range) = (Vec::new(), Vec::new(), Vec::new());
+    for hidden in &splits.days {
+        let Some(scored) = next(hidden, false)? else { return Ok(None) };
+        days.extend(scored);
     }
-    for hidden in of_powders.filter(|hidden| campaign.powders.len() > 1 && !hidden.is_empty()) {
-        next(hidden, true, &mut powders)?;
+    let is_one_of_several = |hidden: &&Vec<usize>| splits.powders.len() > 1 && !hidden.is_empty();
+    for hidden in splits.powders.iter().filter(is_one_of_several) {
+        powders.extend(next(hidden, true)?.into_iter().flatten());
     }
-    for hidden in of_range {
-        next(hidden, false, &mut range)?;
+    for hidden in &splits.range {
+        range.extend(next(hidden, false)?.into_iter().flatten());
     }
-    let held_out = |scored: &[Hidden]| held_out(scored, campaign.quantity, settings.seed);
-    let log_score = log_score(&days, settings.seed);
+    Ok(Some(summary([&days, &powders, &range], campaign.quantity, settings.seed)))
+}
+
+/// The gain over hidden days, powders and ends of a range.
+///
+/// ```text
+/// score of a run       log N(error; 0, SD), before and after
+/// accepted             root mean square error after < before, and the 95 % interval of the mean
+///                      score after less before lies above zero
+/// ```
+///
+/// Errors alone may shrink by chance on a few days, or where SDs that were right become too narrow.
+fn summary([days, powders, range]: [&[Hidden]; 3], quantity: Quantity, seed: u64) -> Gain {
+    let held_out = |scored: &[Hidden]| held_out(scored, quantity, seed);
+    let log_score = log_score(days, seed);
     let within = |k: usize| {
-        let inside = days.iter().filter(|it| it.errors[k].abs() <= BAND * it.sds[k]).count();
+        let inside = days.iter().filter(|run| run.errors[k].abs() <= BAND * run.sds[k]).count();
         inside as f64 / days.len() as f64
     };
-    let by_day = held_out(&days);
-    // A win: errors become smaller, and the better log score is not an accident of these days.
+    let by_day = held_out(days);
     let accepted = by_day.rmse_after < by_day.rmse_before && log_score.ci95[0] > 0.0;
-    Ok(Some(Gain {
+    Gain {
         held_out: by_day,
-        by_powder: (!powders.is_empty()).then(|| held_out(&powders)),
-        by_range: (!range.is_empty()).then(|| held_out(&range)),
+        by_powder: (!powders.is_empty()).then(|| held_out(powders)),
+        by_range: (!range.is_empty()).then(|| held_out(range)),
         log_score,
         coverage90: Coverage { before: within(0), after: within(1) },
         weighing_error_mg: None,
         accepted,
-    }))
+    }
 }
 
 /// A stop was requested.
 pub(crate) struct Stopped;
 
+/// The measured runs among these.
 fn rows(campaign: &Campaign, which: impl Fn(usize) -> bool) -> Vec<usize> {
     campaign.measured().into_iter().filter(|&i| which(i)).collect()
 }
@@ -142,7 +175,7 @@ fn fold(
     let screening = screen_prepared(&prepared, &rest, &shifts, &settings, never);
     let is_found = screening.is_some_and(|it| it.p_value <= SIGNIFICANCE);
     let predicted = posterior.predict(&rest);
-    let angle = |i: usize| campaign.runs[i].repose_deg.unwrap_or(f64::NAN);
+    let angle = |i: usize| campaign.runs[i].value.unwrap_or(f64::NAN);
     let mean = |of: &dyn Fn(usize) -> f64| {
         hidden.iter().map(|&i| of(i)).sum::<f64>() / hidden.len() as f64
     };
@@ -155,9 +188,9 @@ fn fold(
                 let shift = if is_found { shifts[i] - mean_shift } else { 0.0 };
                 [angle(i) - mean_angle, angle(i) - mean_angle - shift]
             }
-            false => [before, after].map(|it: Predicted| angle(i) - it.mean_deg),
+            false => [before, after].map(|it: Predicted| angle(i) - it.mean),
         };
-        Hidden { session: campaign.runs[i].session, errors, sds: [before.sd_deg, after.sd_deg] }
+        Hidden { session: campaign.runs[i].session, errors, sds: [before.sd, after.sd] }
     };
     Ok(hidden.iter().map(score).collect())
 }
@@ -205,4 +238,73 @@ fn resampled(scored: &[Hidden], seed: u64, statistic: impl Fn(&[&Hidden]) -> f64
         .collect();
     draws.sort_by(f64::total_cmp);
     [0.025, 0.975].map(|share| quantile(&draws, share).unwrap_or(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Deserialize;
+
+    #[derive(Deserialize)]
+    struct References {
+        held_out: Vec<Reference>,
+    }
+
+    /// Runs on four days; each end of an interval is given by the range in which resamples have it.
+    #[derive(Deserialize)]
+    struct Reference {
+        session: Vec<usize>,
+        errors: Vec<[f64; 2]>,
+        sds: Vec<[f64; 2]>,
+        rmse: [f64; 2],
+        rmse_ci95: [[f64; 2]; 2],
+        log_score: [f64; 2],
+        log_score_ci95: [[f64; 2]; 2],
+        coverage90: [f64; 2],
+        accepted: bool,
+    }
+
+    fn is_in(ci95: [f64; 2], ranges: [[f64; 2]; 2]) -> bool {
+        ci95.iter().zip(ranges).all(|(end, [low, high])| (low - 1e-9..=high + 1e-9).contains(end))
+    }
+
+    #[test]
+    fn the_gain_is_that_of_every_resample_enumerated() {
+        let text = include_str!("../../../../tests/reference/discovery.json");
+        let References { held_out: references } = serde_json::from_str(text).unwrap();
+        for reference in references {
+            let run = |k: usize| Hidden {
+                session: reference.session[k],
+                errors: reference.errors[k],
+                sds: reference.sds[k],
+            };
+            let days: Vec<Hidden> = (0..reference.session.len()).map(run).collect();
+            let gain = summary([&days, &[], &[]], Quantity::Repose, 1);
+            let HeldOut { rmse_before, rmse_after, ci95, .. } = gain.held_out;
+            let close = |ours: f64, theirs: f64| (ours - theirs).abs() < 1e-9;
+            assert!(close(rmse_before, reference.rmse[0]) && close(rmse_after, reference.rmse[1]));
+            assert!(is_in(ci95, reference.rmse_ci95), "{ci95:?}");
+            let LogScore { before, after, ci95 } = gain.log_score;
+            assert!(close(before, reference.log_score[0]) && close(after, reference.log_score[1]));
+            assert!(is_in(ci95, reference.log_score_ci95), "{ci95:?}");
+            let Coverage { before, after } = gain.coverage90;
+            assert_eq!([before, after], reference.coverage90);
+            // The second has smaller errors, by less than days differ.
+            assert_eq!(gain.accepted, reference.accepted);
+        }
+    }
+
+    #[test]
+    fn every_measured_run_is_left_out_once_with_its_day() {
+        let mut campaign = crate::data::sample::campaign(1, |_| 0.0);
+        campaign.runs[5].value = None;
+        let splits = Splits::of(&campaign, Some("relative_humidity_pct")).unwrap();
+        assert_eq!((splits.days.len(), splits.powders.len(), splits.range.len()), (FOLDS, 2, 2));
+        let mut all = splits.days.concat();
+        all.sort_unstable();
+        assert_eq!(all, campaign.measured());
+        let [low, high] = &splits.range[..] else { panic!() };
+        let humidity = campaign.numbers("relative_humidity_pct").unwrap();
+        assert!(low.iter().all(|&i| high.iter().all(|&j| humidity[i] < humidity[j])));
+    }
 }

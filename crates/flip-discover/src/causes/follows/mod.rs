@@ -114,7 +114,7 @@ fn rows(campaign: &Campaign) -> Vec<Row> {
     let mut of_row: Vec<(Row, Vec<f64>)> = Vec::new();
     for run in campaign.measured() {
         let it = campaign.runs[run];
-        let angle = it.repose_deg.unwrap_or(f64::NAN);
+        let angle = it.value.unwrap_or(f64::NAN);
         match of_row.last_mut().filter(|(last, _)| campaign.runs[last.run].row == it.row) {
             Some((_, angles)) => angles.push(angle),
             None => of_row

@@ -7,14 +7,14 @@ use crate::data::reading::{ColumnRead, FileRead, TakenAs};
 use crate::report::Verdict;
 
 fn angles(laboratory: &Laboratory) -> Vec<f64> {
-    laboratory.campaign.runs.iter().filter_map(|run| run.repose_deg).collect()
+    laboratory.campaign.runs.iter().filter_map(|run| run.value).collect()
 }
 
 /// Mean and SD of the angles of each run's group.
 fn groups(laboratory: &Laboratory, of: impl Fn(&Run) -> (usize, usize)) -> Vec<(f64, f64)> {
     let runs = &laboratory.campaign.runs;
     let own = |run: &Run| -> Vec<f64> {
-        runs.iter().filter(|it| of(it) == of(run)).filter_map(|it| it.repose_deg).collect()
+        runs.iter().filter(|it| of(it) == of(run)).filter_map(|it| it.value).collect()
     };
     let both = |own: &[f64]| {
         let middle = mean(own).unwrap();
@@ -55,7 +55,7 @@ const NAMES: [&str; 7] = [
 
 fn with_functions_of_the_residual(mut laboratory: Laboratory) -> Laboratory {
     for run in &mut laboratory.campaign.runs {
-        run.repose_deg = run.repose_deg.map(|angle| round(angle, 10.0));
+        run.value = run.value.map(|angle| round(angle, 10.0));
     }
     let y = angles(&laboratory);
     let (powder, day) = (

@@ -38,12 +38,7 @@ impl Laboratory {
                 let (_, middle, sd) = POWDERS[k / 2];
                 let angle = middle + day + repeat_share * sd * new.normal();
                 let row = new.campaign.runs.len() as u32 + 2;
-                new.campaign.runs.push(Run {
-                    row,
-                    powder: k / 2,
-                    session,
-                    repose_deg: Some(angle),
-                });
+                new.campaign.runs.push(Run { row, powder: k / 2, session, value: Some(angle) });
                 let volume = (1.0 + 0.02 * new.normal()) * [1.0, 0.8, 0.9, 1.3, 1.1][k / 2];
                 new.volume.push(volume);
             }
@@ -58,7 +53,7 @@ impl Laboratory {
     /// A measurement of each heap, with this relative error and rounded to this many decimals.
     fn read_off(&mut self, name: &str, error: f64, decimals: i32, of: impl Fn(f64, f64) -> f64) {
         let step = 10f64.powi(-decimals);
-        let angles: Vec<f64> = self.campaign.runs.iter().filter_map(|run| run.repose_deg).collect();
+        let angles: Vec<f64> = self.campaign.runs.iter().filter_map(|run| run.value).collect();
         let read = |(i, angle): (usize, f64)| {
             let value = of(angle.to_radians(), self.volume[i])
                 * (1.0
@@ -81,7 +76,7 @@ impl Laboratory {
         let runs = self.campaign.runs.clone();
         let values: Vec<f64> = runs.iter().map(|run| of(self, run)).collect();
         for (run, value) in self.campaign.runs.iter_mut().zip(&values) {
-            run.repose_deg = run.repose_deg.map(|angle| angle + effect(*value));
+            run.value = run.value.map(|angle| angle + effect(*value));
         }
         let values = Values::Numbers(values.into_iter().map(Some).collect());
         self.campaign.covariates.push(Covariate { name: name.to_owned(), values });
@@ -183,7 +178,7 @@ fn columns_of_one_heap_are_left_out_together() {
 fn classes_of_the_angle_are_no_conditions_and_operators_are_none() {
     let mut laboratory = Laboratory::new(1, 5, 20, 1.0);
     let of = |limits: [f64; 2]| -> Vec<Option<usize>> {
-        let angles = laboratory.campaign.runs.iter().filter_map(|run| run.repose_deg);
+        let angles = laboratory.campaign.runs.iter().filter_map(|run| run.value);
         angles.map(|angle| Some(limits.iter().filter(|limit| angle > **limit).count())).collect()
     };
     let (classes, by_chance) = (of([31.0, 41.0]), (0..200).map(|k| Some(k * 7 % 3)).collect());

@@ -71,7 +71,7 @@ fn campaign(hidden: Hidden, seed: u64) -> Campaign {
                 row: runs.len() as u32 + 2,
                 powder: k / 2,
                 session,
-                repose_deg: Some(angle),
+                value: Some(angle),
             });
             humidity.push(Some(h));
             operator.push(Some(by));

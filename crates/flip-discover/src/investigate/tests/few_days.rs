@@ -12,7 +12,7 @@ fn unrecorded(sessions: usize, runs: usize) -> Campaign {
             row: k as u32 + 2,
             powder,
             session,
-            repose_deg: Some(30.0 + 4.0 * powder as f64 + lab.normal()),
+            value: Some(30.0 + 4.0 * powder as f64 + lab.normal()),
         });
     }
     Campaign { powders: vec!["sand".into(), "salt".into()], runs: all, ..Campaign::default() }
@@ -60,7 +60,7 @@ fn powders_that_were_each_measured_on_one_day_cannot_be_judged_and_say_so() {
     let values =
         Values::Numbers(campaign.runs.iter().map(|run| Some(30.0 + run.session as f64)).collect());
     campaign.covariates = vec![Covariate { name: "relative_humidity_pct".to_owned(), values }];
-    campaign.flow_time_s = campaign.runs.iter().map(|run| run.repose_deg).collect();
+    campaign.flow_time_s = campaign.runs.iter().map(|run| run.value).collect();
     let never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
     let report = investigate(Some(&campaign), None, "base", &SETTINGS, never).unwrap().unwrap();
     assert!(report.unjudged.is_some() && is_whole(&report), "{}", report.sentence);
