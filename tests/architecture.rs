@@ -46,17 +46,7 @@ const ARROWS: [(&str, &[&str]); 22] = [
     ("traces", &["domain", "stats", "thresholds", "report", "judge"]),
     (
         "investigate",
-        &[
-            "domain",
-            "stats",
-            "thresholds",
-            "data",
-            "report",
-            "causes",
-            "judge",
-            "worth",
-            "traces",
-        ],
+        &["domain", "stats", "thresholds", "data", "report", "causes", "judge", "worth", "traces"],
     ),
 ];
 

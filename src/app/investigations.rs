@@ -137,9 +137,12 @@ impl App {
         let mut files = Vec::new();
         let campaign = match csv {
             Some(csv) => {
-                let CampaignRead { campaign, read } =
+                let CampaignRead { mut campaign, read } =
                     campaign_csv::read(&csv, &REQUIRED, request.dates)?;
                 files.push(read);
+                let mut said = self.store().said_of_solubility().await?;
+                said.retain(|(id, _)| campaign.powders.contains(id));
+                campaign.soluble = said.into_iter().collect();
                 Some(campaign.checked()?)
             }
             None => None,

@@ -224,9 +224,6 @@ const HUMID: [Form; 4] = [
     ("h^4", |h| (h / 100.0).powi(4)),
     ("h - 30 % above 30 %", |h| (h / 100.0 - 0.3).max(0.0)),
 ];
-/// Quartz and starch do not dissolve, and hydrogen carbonate takes up water only above 85 %. Salt
-/// (from 75 %), sugar (from 85 %) and powders not known here may.
-const INSOLUBLE: [&str; 3] = ["sand", "semolina", "sodium_bicarbonate"];
 const DELIQUESCENCE: [Form; 6] = [
     ("a step at 60 %", |h| step(h, 60.0, 1.0)),
     ("a step at 65 %", |h| step(h, 65.0, 1.0)),
@@ -311,8 +308,7 @@ fn but_not(mut strengths: Vec<(String, Vec<f64>)>, runs: &[usize]) -> Vec<(Strin
 
 /// Runs of powders that do not dissolve at any laboratory humidity.
 fn insoluble(campaign: &Campaign) -> Vec<usize> {
-    let is_insoluble = |powder: usize| INSOLUBLE.contains(&campaign.powders[powder].as_str());
-    (0..campaign.runs.len()).filter(|&i| is_insoluble(campaign.runs[i].powder)).collect()
+    (0..campaign.runs.len()).filter(|&i| !campaign.may_dissolve(campaign.runs[i].powder)).collect()
 }
 
 /// Runs with an ioniser, which removes charge; where none was recorded there was none.
@@ -329,6 +325,22 @@ fn ionised(campaign: &Campaign) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn powders_that_do_not_dissolve_cannot_deliquesce() {
+        let mut campaign = crate::data::sample::campaign(1, |_| 0.0);
+        let insoluble = |campaign: &Campaign| -> Vec<usize> {
+            let runs = insoluble(campaign);
+            (0..2).filter(|&p| runs.iter().any(|&i| campaign.runs[i].powder == p)).collect()
+        };
+        // Sand is known not to, salt to; of quartz nothing is known until a laboratory says so.
+        assert_eq!(insoluble(&campaign), [0]);
+        campaign.powders[0] = "quartz".to_owned();
+        assert!(insoluble(&campaign).is_empty());
+        campaign.soluble = [("quartz".to_owned(), false), ("salt".to_owned(), false)].into();
+        assert_eq!(insoluble(&campaign), [0, 1]);
+        assert!(Mechanism::Deliquescence.courses(&campaign).is_err());
+    }
 
     #[test]
     fn how_a_heap_is_poured_and_read_does_not_change_how_powder_runs_out() {

@@ -2,8 +2,10 @@
 
 use crate::thresholds::{LEVELS_MAX, MISSING_MAX, RUNS_MIN};
 use flip_core::domain::FieldError;
+use flip_core::domain::powder::is_soluble;
 use flip_core::stats::summary::mean;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// One measurement.
@@ -146,6 +148,10 @@ pub struct Campaign {
     /// The quantity of every [`Run::value`]: angles in a laboratory's file.
     #[serde(default, skip_serializing_if = "Quantity::is_repose")]
     pub quantity: Quantity,
+    /// Whether powders dissolve in water that they take up from the air, by id, where the
+    /// laboratory has said so.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub soluble: BTreeMap<String, bool>,
 }
 
 impl Campaign {
@@ -185,6 +191,12 @@ impl Campaign {
             }
             None => Ok(self),
         }
+    }
+
+    /// Whether a powder may dissolve in humid air: unless it is known not to.
+    pub(crate) fn may_dissolve(&self, powder: usize) -> bool {
+        let id = &self.powders[powder];
+        is_soluble(id, self.soluble.get(id).copied()) != Some(false)
     }
 
     /// Whether any powder has two different angles.

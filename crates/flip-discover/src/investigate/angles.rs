@@ -1,159 +1,130 @@
 //! A complete investigation of angles: from a campaign to a report.
 
+use super::channel::{Channel, Conclusion};
 use super::scatter::{scatters, simulated};
-use super::side::Beside;
+use super::side::heard;
+use super::steps::{Halt, Steps};
 use super::words;
 use crate::causes::catalogue::Mechanism;
 use crate::causes::follows;
 use crate::causes::hypothesis::{Cause, Untestable};
-use crate::causes::response::Action;
-use crate::causes::response::Responses;
+use crate::causes::response::{Action, Responses};
 use crate::data::campaign::{Campaign, Run};
-use crate::judge::claim::Claim;
+use crate::judge::claim::{Claim, Proposal};
 use crate::judge::posterior::Posterior;
 use crate::judge::prepared::Prepared;
-use crate::judge::screen::{Judged, Screening, Settings, screen_among, screen_prepared};
-use crate::judge::verdict::{Judgement, correlation};
+use crate::judge::screen::{Settings, screen_among};
+use crate::judge::verdict::correlation;
 use crate::report::{
-    CauseReport, Curve, Evidence, Finding, FormClass, Gain, NullCheck, ParameterReport, Report,
-    Row, Unexplained, UntestableReport, Verdict,
+    CauseReport, Curve, Experiment, Finding, ParameterReport, Report, Row, UntestableReport,
+    Verdict,
 };
 use crate::thresholds::{CLAIM, MOVED_TOGETHER};
 use crate::worth::detectable::detectable;
-use crate::worth::effects::{self, curves};
+use crate::worth::effects::curves;
 use crate::worth::experiment::{experiment, settling};
-use crate::worth::held_out::{Stopped, gain};
-use crate::worth::law::law;
 use flip_core::domain::FieldError;
-use flip_core::domain::job::Progress;
 use flip_core::stats::summary::mean;
 use std::ops::ControlFlow;
 
-/// Investigates a campaign.
+/// Investigates the angles of a campaign.
 ///
 /// | argument | meaning |
 /// |----------|---------|
 /// | `responses` | how much each mechanism moves each powder, according to a simulator |
 /// | `base` | version of the simulator that is judged |
 /// | `corrected` | p-value of these angles, given what else is judged |
-/// | `on_progress` | receives progress; `Break` stops, and there is no report |
+/// | `steps` | receives progress |
 ///
 /// # Errors
-/// A setting out of bounds; a campaign whose runs carry no information about their noise.
+/// A campaign whose runs carry no information about their noise; a stop was requested.
 pub(crate) fn angles(
     campaign: &Campaign,
     responses: &Responses,
     base: &str,
     settings: &Settings,
     corrected: impl Fn(f64) -> f64,
-    mut on_progress: impl FnMut(&Progress) -> ControlFlow<()>,
-) -> Result<Option<Report>, FieldError> {
-    let mut step = |fraction: f64, message: &str| {
-        on_progress(&Progress { fraction, message: message.to_owned() }).is_break()
-    };
-    let settings = settings.checked()?;
+    steps: &mut Steps<'_>,
+) -> Result<Report, Halt> {
     let prepared = Prepared::new(campaign, responses)?;
-    let judged = |share: f64| match step(
-        0.3 * share,
-        "judging every cause, here and where nothing is wrong",
-    ) {
-        true => ControlFlow::Break(()),
-        false => ControlFlow::Continue(()),
-    };
-    let posterior = Posterior::new(&prepared);
-    let shifts = posterior.shifts();
-    let screened = screen_prepared(&prepared, campaign, &shifts, &settings, judged);
-    let Some(screening) = screened else { return Ok(None) };
-    let judgement = Judgement::of(&prepared, &posterior, corrected(screening.p_value));
-    let mut report = blank(&screening, base);
-    report.evidence = evidence(&prepared, &screening, &posterior);
-    report.blind_spots = words::blind_spots(
-        campaign.powders.len(),
-        campaign.sessions() < campaign.runs.len(),
-        &correlated(campaign),
-    );
-    if step(0.3, "how large the effect is") {
-        return Ok(None);
-    }
-    let told = effects::told(campaign, responses, &judgement.told)?;
-    let fold = |done: f64| match step(
-        0.35 + 0.4 * done,
-        "leaving out days, powders and ranges, and searching again",
-    ) {
-        true => ControlFlow::Break(()),
-        false => ControlFlow::Continue(()),
-    };
-    let gain = match worth(campaign, responses, &judgement, &settings, fold) {
-        Ok(gain) => gain,
-        Err(Stopped) => return Ok(None),
-    };
-    let claim =
-        Claim::of(judgement.proposal, told, gain.as_ref().is_some_and(|gain| gain.accepted));
-    report.verdict = claim.verdict;
-    let is_found = report.verdict != Verdict::NoDiscrepancy;
-    report.gain = gain.filter(|_| is_found);
-    if step(0.75, "what this design would find") {
-        return Ok(None);
-    }
-    let explained = judgement.proposal.is_found().then_some(&posterior);
-    report.minimum_detectable = detectable(campaign, &prepared, &screening, explained, &settings);
-    report.rows = rows(campaign, &posterior, is_found);
-    report.curves =
-        if is_found { curves(campaign, responses)? } else { flat(curves(campaign, responses)?) };
-    report.findings = claim.findings();
-    report.causes = causes(&prepared, &posterior, &claim);
-    report.ambiguous_between = judgement.ambiguous_between();
-    report.unexplained = judgement.unexplained().map(|covariate| match covariate {
-        Some(covariate) => law(campaign, &prepared, covariate),
-        None => Unexplained {
-            covariate: None,
-            law: "a wander over the sessions".to_owned(),
-            form_class: FormClass::Smooth,
-        },
-    });
-    if step(0.9, "the experiment that would tell most") {
-        return Ok(None);
-    }
-    report.suggested_experiment = match (judgement.to_tell_apart(), judgement.ranked.first()) {
-        (Some(causes), _) if is_found => experiment(
-            campaign,
-            responses,
-            &causes,
-            report.verdict != Verdict::Ambiguous,
-            &settings,
-        )?,
-        (_, Some((likeliest, _))) if !is_found => {
-            settling(campaign, &prepared, likeliest, settings.seed)
-        }
-        _ => None,
-    };
-    let first = claim.told.first().filter(|_| report.verdict == Verdict::Cause);
-    report.sentence =
-        words::sentence(&report, &claim, first.and_then(|it| posterior.law(&it.cause)));
+    let channel = Channel::screened(campaign, responses, &prepared, settings, |share| {
+        steps.go_on(0.3 * share, "judging every cause, here and where nothing is wrong")
+    })?;
+    steps.begin(0.3, "how large the effect is")?;
+    let p_value = corrected(channel.screening.p_value);
+    let conclusion = channel.concluded(p_value, settings, Proposal::is_found, |done| {
+        let message = "leaving out days, powders and ranges, and searching again";
+        steps.go_on(0.35 + 0.4 * done, message)
+    })?;
+    steps.begin(0.75, "what this design would find")?;
+    let mut report = document(&channel, &conclusion, base, settings)?;
+    steps.begin(0.9, "the experiment that would tell most")?;
+    report.suggested_experiment = next_experiment(&channel, &conclusion, settings)?;
+    report.sentence = sentence(&report, &channel, &conclusion.claim);
     if !report.null_check.is_judged() {
         let why = words::unjudged(campaign.sessions());
         report.sentence = format!("These angles cannot be judged: {why}.");
         report.unjudged = Some(why);
     }
-    scatter(&mut report, campaign, &shifts, &settings)?;
-    Ok(Some(report))
+    scatter(&mut report, campaign, &channel.posterior.shifts(), settings)?;
+    Ok(report)
 }
 
-/// The gain of the proposal on left-out days; nothing if nothing is proposed or nothing can be left
-/// out.
-pub(crate) fn worth(
-    campaign: &Campaign,
-    responses: &Responses,
-    judgement: &Judgement,
+/// Everything in the document but the experiment and the sentences.
+fn document(
+    channel: &Channel<'_>,
+    Conclusion { judgement, claim, gain }: &Conclusion,
+    base: &str,
     settings: &Settings,
-    on_fold: impl FnMut(f64) -> ControlFlow<()>,
-) -> Result<Option<Gain>, Stopped> {
-    if !judgement.proposal.is_found() {
-        return Ok(None);
+) -> Result<Report, FieldError> {
+    let Channel { campaign, responses, prepared, posterior, screening } = channel;
+    let is_found = claim.verdict != Verdict::NoDiscrepancy;
+    let explained = judgement.proposal.is_found().then_some(posterior);
+    let curves = curves(campaign, responses)?;
+    Ok(Report {
+        verdict: claim.verdict,
+        findings: claim.findings(),
+        causes: causes(prepared, posterior, claim),
+        ambiguous_between: judgement.ambiguous_between(),
+        unexplained: channel.unexplained(judgement),
+        gain: gain.clone().filter(|_| is_found),
+        minimum_detectable: detectable(campaign, prepared, screening, explained, settings),
+        blind_spots: words::blind_spots(
+            campaign.powders.len(),
+            campaign.sessions() < campaign.runs.len(),
+            &correlated(campaign),
+        ),
+        evidence: channel.evidence(),
+        untestable: screening.untestable.iter().map(untestable).collect(),
+        rows: rows(campaign, posterior, is_found),
+        curves: if is_found { curves } else { flat(curves) },
+        ..Report::blank(base, screening.p_value, channel.null_check())
+    })
+}
+
+fn untestable(it: &Untestable) -> UntestableReport {
+    UntestableReport { mechanism: it.mechanism.name().0.to_owned(), reason: it.reason.clone() }
+}
+
+/// The experiment that would tell most: what is open apart, or whether the likeliest is nothing.
+fn next_experiment(
+    channel: &Channel<'_>,
+    Conclusion { judgement, claim, .. }: &Conclusion,
+    settings: &Settings,
+) -> Result<Option<Experiment>, FieldError> {
+    let Channel { campaign, responses, prepared, .. } = channel;
+    if claim.verdict == Verdict::NoDiscrepancy {
+        let likeliest = judgement.ranked.first();
+        return Ok(likeliest.and_then(|it| settling(campaign, prepared, &it.0, settings.seed)));
     }
-    let covariate = judgement.told.first().and_then(|cause| cause.covariates().first().copied());
-    let covariate = covariate.filter(|name| campaign.numbers(name).is_ok());
-    gain(campaign, responses, covariate, settings, on_fold)
+    let Some(causes) = judgement.to_tell_apart() else { return Ok(None) };
+    let is_claimed = claim.verdict != Verdict::Ambiguous;
+    experiment(campaign, responses, &causes, is_claimed, settings)
+}
+
+fn sentence(report: &Report, channel: &Channel<'_>, claim: &Claim) -> String {
+    let first = claim.told.first().filter(|_| report.verdict == Verdict::Cause);
+    words::sentence(report, claim, first.and_then(|told| channel.posterior.law(&told.cause)))
 }
 
 /// Reports whether repeats scatter more in some conditions, or that this cannot be seen. It decides
@@ -163,10 +134,11 @@ fn scatter(
     campaign: &Campaign,
     explained: &[f64],
     settings: &Settings,
-) -> Result<(), FieldError> {
+) -> Result<(), Halt> {
+    let none = Responses::new();
     let prepared = scatters(campaign, explained)
         .ok()
-        .and_then(|it| Some((Prepared::new(&it, &Responses::new()).ok()?, it)));
+        .and_then(|scatters| Some((Prepared::new(&scatters, &none).ok()?, scatters)));
     let Some((prepared, scatters)) =
         prepared.filter(|(prepared, _)| !prepared.hypotheses.is_empty())
     else {
@@ -174,13 +146,16 @@ fn scatter(
         return Ok(());
     };
     let null = simulated(&scatters, settings.seed, settings.simulations);
-    let Some(screening) = screen_among(&prepared, &[null], |_| ControlFlow::Continue(())) else {
-        return Ok(());
+    let screening = screen_among(&prepared, &[null], |_| ControlFlow::Continue(()));
+    let screening = screening.ok_or(Halt::Stopped)?;
+    let channel = Channel {
+        campaign: &scatters,
+        responses: &none,
+        prepared: &prepared,
+        posterior: Posterior::new(&prepared),
+        screening,
     };
-    let p_value = screening.p_value;
-    let posterior = Posterior::new(&prepared);
-    let beside = Beside { campaign: &scatters, prepared: &prepared, posterior, screening };
-    let (heard, side) = beside.heard(p_value, settings)?;
+    let (heard, side) = heard(&channel, channel.screening.p_value, settings)?;
     report.findings.extend(heard.findings);
     if !heard.sentence.is_empty() {
         report.sentence = format!("{} {}", report.sentence, heard.sentence);
@@ -220,40 +195,6 @@ fn correlated(campaign: &Campaign) -> Vec<(String, String, f64)> {
 fn flat(mut curves: Vec<Curve>) -> Vec<Curve> {
     curves.iter_mut().flat_map(|it| &mut it.course).for_each(|place| place[1] = 0.0);
     curves
-}
-
-pub(crate) fn evidence(
-    prepared: &Prepared,
-    screening: &Screening,
-    posterior: &Posterior<'_>,
-) -> Vec<Evidence> {
-    let of = |judged: &Judged| {
-        let (cause, family) = judged.cause.name();
-        Evidence {
-            cause,
-            family: family.map(str::to_owned),
-            log10_evidence: judged.log_evidence / std::f64::consts::LN_10,
-            inclusion_probability: posterior.inclusion_of(&judged.cause),
-        }
-    };
-    // A cause explained by the powders' means has no evidence, for or against.
-    let mut all: Vec<Evidence> =
-        screening.judged.iter().filter(|it| it.log_evidence.is_finite()).map(of).collect();
-    debug_assert!(all.len() <= prepared.hypotheses.len());
-    all.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
-    all
-}
-
-fn blank(screening: &Screening, base: &str) -> Report {
-    let untestable = |it: &Untestable| UntestableReport {
-        mechanism: it.mechanism.name().0.to_owned(),
-        reason: it.reason.clone(),
-    };
-    let null_check = NullCheck::of(&screening.null, screening.statistic);
-    Report {
-        untestable: screening.untestable.iter().map(untestable).collect(),
-        ..Report::blank(base, screening.p_value, null_check)
-    }
 }
 
 /// Every row of the file, before and after; the repeats of a summary are one row. If nothing is
@@ -329,7 +270,8 @@ fn causes(prepared: &Prepared, posterior: &Posterior<'_>, claim: &Claim) -> Vec<
 mod tests {
     use super::*;
     use crate::data::sample;
-    use crate::judge::claim::{Proposal, Told};
+    use crate::judge::claim::Told;
+    use crate::worth::effects;
 
     #[test]
     fn a_claimed_cause_that_predicts_better_has_level_two() {

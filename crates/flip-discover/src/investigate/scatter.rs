@@ -73,8 +73,8 @@ pub(crate) fn scatters(campaign: &Campaign, explained: &[f64]) -> Result<Campaig
         powders: campaign.powders.clone(),
         covariates: covariates.collect(),
         runs,
-        flow_time_s: Vec::new(),
         quantity,
+        ..Campaign::default()
     }
     .checked()
 }

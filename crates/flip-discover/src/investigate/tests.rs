@@ -1,4 +1,5 @@
-use super::angles;
+use super::angles::angles;
+use super::steps::Steps;
 use crate::judge::noise;
 use crate::*;
 use flip_core::stats::normal;
@@ -293,8 +294,10 @@ fn a_summary_stands_for_its_repeats() {
 }
 
 fn investigated(campaign: &Campaign) -> Report {
-    let never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
-    angles::angles(campaign, &Responses::new(), "base", &SETTINGS, |p| p, never).unwrap().unwrap()
+    let mut never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
+    let mut steps = Steps::new(&mut never);
+    let report = angles(campaign, &Responses::new(), "base", &SETTINGS, |p| p, &mut steps);
+    report.unwrap_or_else(|_| panic!("the campaign can be judged"))
 }
 
 #[test]
