@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may name; a room may always name itself. A crate of one room is not here: its manifest says what it may name.
-const ARROWS: [(&str, &[&str]); 14] = [
+const ARROWS: [(&str, &[&str]); 23] = [
     ("domain", &[]),
     ("stats", &[]),
     ("hardware", &["domain"]),
@@ -40,6 +40,19 @@ const ARROWS: [(&str, &[&str]); 14] = [
     ("api", &["domain", "app"]),
     ("cli", &["domain", "sim", "hardware", "emulate", "rig", "app", "api", "telemetry"]),
     ("telemetry", &[]),
+    // The rooms of flip-discover, in the order in which they may name each other.
+    ("thresholds", &[]),
+    ("data", &["domain", "stats", "thresholds"]),
+    ("report", &["domain", "stats", "thresholds", "data"]),
+    ("causes", &["domain", "stats", "thresholds", "data", "report"]),
+    ("judge", &["domain", "stats", "thresholds", "data", "report", "causes"]),
+    ("worth", &["domain", "stats", "thresholds", "data", "report", "causes", "judge"]),
+    ("extend", &["domain", "stats", "thresholds", "data", "report", "causes", "judge"]),
+    ("traces", &["domain", "stats", "thresholds", "report", "judge"]),
+    (
+        "investigate",
+        &["domain", "stats", "thresholds", "data", "report", "causes", "judge", "worth", "traces"],
+    ),
 ];
 
 /// Crates that are one room.
@@ -47,6 +60,9 @@ const ALONE: [&str; 4] = ["discover", "policy", "sim", "store"];
 
 /// Crates of several rooms.
 const HOUSES: [&str; 3] = ["flip-bench", "flip-core", "flip-learn"];
+
+/// Crates of several rooms that are one room to every other crate.
+const CLOSED_HOUSES: [&str; 1] = ["flip-discover"];
 
 /// File, and what it may name beyond its room's arrows.
 const EXCEPTIONS: [(&str, &[&str]); 1] = [
@@ -74,7 +90,7 @@ const CONFINED: [(&str, &[&str]); 26] = [
     ("tch::", &["train"]),
     ("csv::", &["app"]),
     ("maud::", &["app"]),
-    ("rayon::", &["calibrate", "discover", "train", "jobs", "cli"]),
+    ("rayon::", &["calibrate", "judge", "investigate", "traces", "train", "jobs", "cli"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
     ("rustix::", &["api", "cli", "emulate", "hardware", "jobs", "store"]),
@@ -121,7 +137,7 @@ struct Source {
 /// The room of a file: its folder below the service's `src` or below that of a crate of several rooms; else its crate's name.
 fn room(path: &str) -> &str {
     match path.strip_prefix("crates/").and_then(|rest| rest.split_once("/src/")) {
-        Some((house, inside)) if HOUSES.contains(&house) => {
+        Some((house, inside)) if HOUSES.contains(&house) || CLOSED_HOUSES.contains(&house) => {
             inside.split('/').next().unwrap_or_default()
         }
         Some((house, _)) => house.trim_start_matches("flip-"),
@@ -353,6 +369,7 @@ fn the_checks_see_what_they_should() {
     assert_eq!(named_rooms("use crate::{app, jobs};"), [""]);
     assert_eq!(room("crates/flip-bench/src/weigh/guard.rs"), "weigh");
     assert_eq!(room("crates/flip-sim/src/walls.rs"), "sim");
+    assert_eq!(room("crates/flip-discover/src/judge/screen.rs"), "judge");
     assert_eq!(room("src/main.rs"), "main");
     assert!(holds("use tokio::fs;", "tokio::") && !holds("my_tokio::fs", "tokio::"));
     assert!(holds("pub async fn go()", "async fn"));

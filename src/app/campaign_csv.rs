@@ -453,7 +453,7 @@ fn campaign(
         if known.is_none() {
             powders.push(line.powder.clone());
         }
-        let run = |repose_deg| Run { row: line.row as u32, powder, session: *session, repose_deg };
+        let run = |value| Run { row: line.row as u32, powder, session: *session, value };
         match line.angle {
             Some(angle) => {
                 runs.extend(

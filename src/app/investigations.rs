@@ -137,9 +137,12 @@ impl App {
         let mut files = Vec::new();
         let campaign = match csv {
             Some(csv) => {
-                let CampaignRead { campaign, read } =
+                let CampaignRead { mut campaign, read } =
                     campaign_csv::read(&csv, &REQUIRED, request.dates)?;
                 files.push(read);
+                let mut said = self.store().said_of_solubility().await?;
+                said.retain(|(id, _)| campaign.powders.contains(id));
+                campaign.soluble = said.into_iter().collect();
                 Some(campaign.checked()?)
             }
             None => None,
@@ -176,7 +179,7 @@ impl App {
         let mut stands = Vec::new();
         for (k, powder) in campaign.powders.iter().enumerate() {
             let angles =
-                campaign.runs.iter().filter(|run| run.powder == k).filter_map(|run| run.repose_deg);
+                campaign.runs.iter().filter(|run| run.powder == k).filter_map(|run| run.value);
             let (sum, count) =
                 angles.fold((0.0, 0), |(sum, count), angle| (sum + angle, count + 1));
             if count == 0 {

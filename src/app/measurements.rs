@@ -309,7 +309,7 @@ impl App {
         let mut tx = self.store().write().await?;
         let mut rows = Vec::new();
         for (id, name) in &new {
-            if let Some(created_at) = tx.insert_powder(id, name).await? {
+            if let Some(created_at) = tx.insert_powder(id, name, None).await? {
                 let powder = json!({ "id": id, "name": name, "created_at": created_at });
                 rows.push(Row::of(RowOf::Powder, id, &powder));
             }

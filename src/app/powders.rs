@@ -24,6 +24,10 @@ pub struct NewPowder {
     pub id: String,
     /// Name for people, 1 to 100 characters.
     pub name: String,
+    /// Whether it dissolves in water that it takes up from humid air, if known: an investigation
+    /// then does not blame deliquescence for what a powder that does not dissolve does.
+    #[serde(default)]
+    pub soluble: Option<bool>,
 }
 
 /// A powder with all data on it.
@@ -65,13 +69,17 @@ impl App {
         check.done()?;
         let id = id.map_or_else(|| id_of_powder("name", &new.name), Ok)?;
         let mut tx = self.store().write().await?;
-        let Some(created_at) = tx.insert_powder(&id, &new.name).await? else {
+        let Some(created_at) = tx.insert_powder(&id, &new.name, new.soluble).await? else {
             let advice = format!(
                 "powder `{id}` already exists: add measurements to it, or choose another id"
             );
             return Err(Error::conflict("powder_exists", advice));
         };
-        let said = json!({ "powder": { "id": id, "name": new.name, "created_at": created_at } });
+        let mut powder = json!({ "id": id, "name": new.name, "created_at": created_at });
+        if let Some(soluble) = new.soluble {
+            powder["soluble"] = soluble.into();
+        }
+        let said = json!({ "powder": powder });
         tx.audit_deed(None, "new powder", said, now()).await?;
         tx.commit().await?;
         self.existing_powder(&id).await

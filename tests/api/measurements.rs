@@ -455,9 +455,15 @@ async fn a_powder_is_registered_by_its_name_under_an_id_that_is_told() {
     assert_eq!(fields(&problem(post(json!({ "name": "?!" })).await, 400).await), ["name"]);
     problem(post(json!({ "name": "Salt" })).await, 409).await;
     let mut powders = PowdersClient::connect(service.url("")).await.unwrap();
-    let new = proto::CreatePowderRequest { id: String::new(), name: "食盐".into() };
+    let new =
+        proto::CreatePowderRequest {
+            id: String::new(), name: "食盐".into(), soluble: Some(true)
+        };
     let made = powders.create_powder(as_operator(&service, new).await).await.unwrap().into_inner();
     assert!(made.id.starts_with("p_") && made.name == "食盐", "{}", made.id);
+    assert_eq!(made.soluble, Some(true));
+    let quartz = post(json!({ "name": "Quartz", "soluble": false })).await;
+    assert_eq!(quartz.json::<serde_json::Value>().await.unwrap()["soluble"], false);
 }
 
 #[tokio::test]

@@ -38,7 +38,9 @@ async fn the_published_powders_are_there_with_both_measurements() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_newest_automated_measurement_is_the_one_to_aim_at() {
     let (_folder, app) = open(functions()).await;
-    app.create_powder(NewPowder { id: "flour".into(), name: "Flour".into() }).await.unwrap();
+    app.create_powder(NewPowder { id: "flour".into(), name: "Flour".into(), soluble: None })
+        .await
+        .unwrap();
     let aim = async || app.powder("flour").await.unwrap().powder.flowability.map(|f| f.repose_deg);
     assert_eq!(aim().await, None);
     for (repose_deg, method, expected) in [
@@ -57,7 +59,7 @@ async fn the_newest_automated_measurement_is_the_one_to_aim_at() {
 async fn powders_that_are_taken_or_misnamed_and_impossible_measurements_are_refused() {
     let (_folder, app) = open(functions()).await;
     let create = async |id: &str, name: &str| {
-        app.create_powder(NewPowder { id: id.into(), name: name.into() }).await
+        app.create_powder(NewPowder { id: id.into(), name: name.into(), soluble: None }).await
     };
     assert!(matches!(
         create("sand", "Sand").await,
@@ -120,7 +122,9 @@ async fn a_folder_in_use_is_refused_for_writing_and_open_for_reading() {
     assert!(message.contains("flip serve holds this database"), "{message}");
     let reader = App::open_to_read(folder.path()).await.unwrap();
     assert_eq!(reader.powders(PageQuery::default()).await.unwrap().items.len(), 5);
-    let write = reader.create_powder(NewPowder { id: "flour".into(), name: "Flour".into() }).await;
+    let write = reader
+        .create_powder(NewPowder { id: "flour".into(), name: "Flour".into(), soluble: None })
+        .await;
     assert!(matches!(write, Err(Error::Unavailable(_))), "{write:?}");
     app.shutdown().await.unwrap();
     app.shutdown().await.unwrap();

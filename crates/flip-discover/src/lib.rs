@@ -1,26 +1,26 @@
 //! Finds what the simulator gets wrong, from angles of repose and balance readings measured under
 //! recorded conditions.
 //!
+//! Each folder is a room. A room may name those above it in this list and none below:
+//!
 //! ```text
-//! campaign.rs     what was measured, run by run, and under which conditions
-//! follows/        columns that follow from what was measured, and are left out
-//! catalogue.rs    the causes, and how strong each may have been in each run
-//! response.rs     what the simulator says of each cause
-//! signature.rs    from strengths to what the angles would show, up to its size
-//! hypothesis.rs   the causes, the covariates without a cause, and what nobody recorded
-//! noise.rs        what angles do when nothing is wrong
-//! screen.rs       is anything wrong, and what explains it best      null_check.rs  how often by chance
-//! posterior.rs    one cause or two, and what that says of each run
-//! effects.rs      how large, on which powders        law.rs         the law of what no cause explains
-//! claim.rs        what of it may be claimed          sizes.rs       how far each powder is moved, in words
-//! held_out.rs     what it is worth on other days     detectable.rs  what this design would have found
-//! experiment.rs   what to measure next               scenario.rs    runs that nobody made
-//! extension.rs    an extended simulator as data  extend.rs      from what was found to one
-//! fit.rs          its amplitude by simulated heaps  numerics.rs    what is wrong without any data
-//! investigate.rs  all of it, for angles              report.rs, words.rs   the document, and its sentences
-//! flow.rs, scatter.rs   flow times, and how far repeats scatter    beside.rs   judged as angles are
-//! traces/         the same for balance readings      channels.rs           all together
-//! names.rs        plain names of causes and columns    reading.rs   how files were read
+//! thresholds.rs   every number at which a decision turns, with its reason
+//! data/           campaign: what was measured, run by run, under which conditions     reading: how files were read
+//!                 flow: the times of flow as a campaign                               scenario: runs that nobody made
+//! report/         the document and its parts, the plain names and sizes in it, and what prints as zero
+//! causes/         follows: columns that follow from what was measured                 catalogue: the causes and their forms
+//!                 signature: what the angles would show of each, up to its size       response: what the simulator says of each
+//!                 hypothesis: causes, covariates without one, what nobody recorded    hook: where a cause enters the simulator
+//! judge/          noise: what angles do when nothing is wrong                         prepared: evidence of each hypothesis
+//!                 screen: is anything wrong                                           posterior: one cause or two
+//!                 verdict: what is proposed                                           claim: what of it may be claimed
+//! worth/          effects: how large, on which powders                                law: of what no cause explains
+//!                 held_out: its worth on other days                                   detectable: what this design would have found
+//!                 experiment: what to measure next
+//! extend/         extension: an extended simulator as data                            claimed: from what was found to one
+//!                 fit: its amplitude by simulated heaps
+//! traces/         the same for balance readings of weighings
+//! investigate/    all of it, channel by channel, into one document, and its sentences
 //! ```
 //!
 //! The calibrated simulator predicts one angle per powder, whatever the day. Anything a new
@@ -37,53 +37,28 @@
 /// Bumped when an investigation of the same campaign may produce a different report.
 pub const VERSION: u32 = 5;
 
-mod beside;
-pub mod campaign;
-mod catalogue;
-mod channels;
-mod claim;
-mod detectable;
-mod effects;
-mod experiment;
+mod causes;
+mod data;
 mod extend;
-pub mod extension;
-mod fit;
-mod flow;
-mod follows;
-mod held_out;
-mod hypothesis;
 mod investigate;
-mod law;
-pub mod names;
-mod noise;
-mod null_check;
-pub mod numerics;
-mod posterior;
-pub mod reading;
+mod judge;
 pub mod report;
-mod response;
-mod scatter;
-mod scenario;
-mod screen;
-mod signature;
-mod sizes;
+mod thresholds;
 pub mod traces;
-mod words;
+mod worth;
 
-#[cfg(test)]
-mod tests;
-
-pub use campaign::{Campaign, Covariate, Quantity, Run, Values};
-pub use campaign::{LEVELS_MAX, repeats_of};
-pub use catalogue::{Family, Mechanism};
-pub use channels::investigate;
-pub use claim::is_told;
-pub use extend::extend;
-pub use extension::{Extended, FitSet};
-pub use fit::{FitHeap, fit};
-pub use hypothesis::{Cause, Responses, Untestable};
-pub use investigate::predict;
-pub use posterior::Predicted;
-pub use report::Report;
-pub use response::responses;
-pub use screen::{Judged, Screening, Settings, screen};
+pub use causes::catalogue::{Family, Mechanism};
+pub use causes::hypothesis::{Cause, Untestable};
+pub use causes::response::{Responses, responses};
+pub use data::campaign::{self, Campaign, Covariate, Quantity, Run, Values, repeats_of};
+pub use data::reading;
+pub use extend::claimed::extend;
+pub use extend::extension::{self, Extended, FitSet};
+pub use extend::fit::{FitHeap, fit};
+pub use investigate::angles::predict;
+pub use investigate::{investigate, numerics};
+pub use judge::posterior::Predicted;
+pub use judge::screen::{Judged, Screening, Settings, screen};
+pub use report::printed::is_told;
+pub use report::{Report, names};
+pub use thresholds::LEVELS_MAX;

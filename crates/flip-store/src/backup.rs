@@ -252,7 +252,7 @@ mod tests {
         let store = Store::open(folder).await.unwrap();
         for k in 0..n {
             let mut tx = store.write().await.unwrap();
-            tx.insert_powder(&format!("powder_{k}"), "Powder").await.unwrap();
+            tx.insert_powder(&format!("powder_{k}"), "Powder", None).await.unwrap();
             let said =
                 serde_json::json!({ "powder": { "id": format!("powder_{k}"), "name": "Powder" } });
             tx.audit_deed(None, "new powder", said, Timestamp::from_unix_ms(k)).await.unwrap();

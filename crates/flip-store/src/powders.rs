@@ -18,6 +18,9 @@ pub struct Powder {
     /// The flowability that calibrations target: the latest automated measurement, else the latest
     /// manual one.
     pub flowability: Option<Flowability>,
+    /// Whether it dissolves in water that it takes up from humid air; absent where nobody said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub soluble: Option<bool>,
     /// When it was registered.
     pub created_at: Timestamp,
 }
@@ -64,6 +67,13 @@ impl Store {
             .fetch_optional(&self.reader)
             .await?;
         row.as_ref().map(powder).transpose()
+    }
+
+    /// What was said of the solubility of powders, by id.
+    pub async fn said_of_solubility(&self) -> Result<Vec<(String, bool)>> {
+        Ok(sqlx::query_as("SELECT id, soluble FROM powder WHERE soluble IS NOT NULL")
+            .fetch_all(&self.reader)
+            .await?)
     }
 
     /// Id and name of every powder, oldest first.
@@ -120,7 +130,7 @@ impl Store {
             return Ok(());
         }
         for row in PUBLISHED {
-            tx.insert_powder(row.id, row.name).await?;
+            tx.insert_powder(row.id, row.name, None).await?;
             for (method, flowability) in
                 [(Method::Automated, row.automated), (Method::Manual, row.manual)]
             {
@@ -133,13 +143,19 @@ impl Store {
 
 impl Tx {
     /// Add a powder; returns when. `None`: the id is taken.
-    pub async fn insert_powder(&mut self, id: &str, name: &str) -> Result<Option<Timestamp>> {
+    pub async fn insert_powder(
+        &mut self,
+        id: &str,
+        name: &str,
+        soluble: Option<bool>,
+    ) -> Result<Option<Timestamp>> {
         let at = now();
-        let sql = "INSERT INTO powder (id, name, created_at) VALUES (?1, ?2, ?3) ON CONFLICT (id) DO NOTHING";
+        let sql = "INSERT INTO powder (id, name, created_at, soluble) VALUES (?1, ?2, ?3, ?4) ON CONFLICT (id) DO NOTHING";
         let done = sqlx::query(sql)
             .bind(id)
             .bind(name)
             .bind(at.unix_ms())
+            .bind(soluble)
             .execute(&mut *self.inner)
             .await?;
         Ok((done.rows_affected() == 1).then_some(at))
@@ -181,6 +197,7 @@ fn powder(row: &SqliteRow) -> Result<Powder> {
         id: row.plain("id")?,
         name: row.plain("name")?,
         flowability,
+        soluble: row.plain("soluble")?,
         created_at: row.time("created_at")?,
     })
 }

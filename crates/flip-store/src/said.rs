@@ -287,7 +287,11 @@ fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
     Ok(match what {
         RowOf::Token => tokens::says(row)?,
         RowOf::Powder => {
-            json!({ "id": text("id")?, "name": text("name")?, "created_at": row.time("created_at")? })
+            let mut says = json!({ "id": text("id")?, "name": text("name")?, "created_at": row.time("created_at")? });
+            if let Some(soluble) = row.plain::<Option<bool>>("soluble")? {
+                says["soluble"] = soluble.into();
+            }
+            says
         }
         RowOf::Measurement => {
             json!({ "id": text("id")?, "powder": text("powder")?, "method": text("method")?,

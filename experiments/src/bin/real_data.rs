@@ -125,7 +125,7 @@ fn campaign(
         row: row as u32 + 2,
         powder: place(&mut powders, powder(line)),
         session: place(&mut sessions, session(line)),
-        repose_deg: Some(*value),
+        value: Some(*value),
     };
     let runs = lines.iter().zip(values).enumerate().map(run).collect();
     let covariate = |&(name, of_names): &(&str, bool)| {

@@ -1,5 +1,5 @@
 //! How far each mechanism of the simulator moves the angle of repose, over the angles of powders:
-//! the table of `crates/flip-discover/src/response.rs`.
+//! the table of `crates/flip-discover/src/causes/response.rs`.
 //!
 //! `cargo experiment simulated_responses -- [sets] [grains] [readings]`
 //! pours, for random parameter sets whose heaps stand at 22 to 50 deg, a heap as it is and one for

@@ -66,7 +66,7 @@ macro_rules! same_fields {
 
 same_fields! {
     f: Flowability => Flowability { repose_deg sd_deg n } {}
-    p: app::Powder => Powder { id name } {
+    p: app::Powder => Powder { id name soluble } {
         flowability: p.flowability.map(Into::into),
         created_at: at(p.created_at),
     }

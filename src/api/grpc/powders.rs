@@ -28,8 +28,9 @@ impl powders_server::Powders for Service {
         &self,
         request: Request<CreatePowderRequest>,
     ) -> Result<Response<Powder>, Status> {
-        let CreatePowderRequest { id, name } = write(request)?;
-        Ok(Response::new(self.app.create_powder(app::NewPowder { id, name }).await?.into()))
+        let CreatePowderRequest { id, name, soluble } = write(request)?;
+        let new = app::NewPowder { id, name, soluble };
+        Ok(Response::new(self.app.create_powder(new).await?.into()))
     }
 
     async fn add_measurement(

@@ -54,7 +54,7 @@ fn a_row_is_a_run_with_what_was_recorded_beside_it() {
                 salt,36.5,2,camera,40,7\n\nsugar,31,1,manual,,\nsalt,35,2,,60.5,12\n";
     let campaign = campaign_of(text);
     assert_eq!(campaign.powders, ["salt", "sugar"]);
-    let run = |row, powder, session, angle| Run { row, powder, session, repose_deg: Some(angle) };
+    let run = |row, powder, session, angle| Run { row, powder, session, value: Some(angle) };
     assert_eq!(campaign.runs, [run(2, 0, 1, 36.5), run(4, 1, 0, 31.0), run(5, 0, 1, 35.0)]);
     assert_eq!(
         column(&campaign, "method").unwrap(),
@@ -79,7 +79,7 @@ fn a_summary_is_as_many_runs_of_the_same_row_and_day() {
     let campaign = campaign_of(text);
     let rows: Vec<(u32, usize)> = campaign.runs.iter().map(|run| (run.row, run.session)).collect();
     assert_eq!(rows, [(2, 0), (2, 0), (2, 0), (2, 0), (2, 0), (3, 1), (4, 2), (5, 3)]);
-    let angles: Vec<f64> = campaign.runs.iter().filter_map(|run| run.repose_deg).collect();
+    let angles: Vec<f64> = campaign.runs.iter().filter_map(|run| run.value).collect();
     let (mean, sd) = (mean(&angles[..5]).unwrap(), sd(&angles[..5]).unwrap());
     assert!((mean - 36.0).abs() < 1e-12 && (sd - 2.5).abs() < 1e-12, "{mean} +- {sd}");
     assert_eq!(angles[5..], [30.0, 31.0, 32.0]);
@@ -166,7 +166,7 @@ fn an_angle_may_be_missing_where_it_is_to_be_predicted() {
         .unwrap()
         .campaign;
     assert_eq!(
-        campaign.runs.iter().map(|run| (run.row, run.repose_deg)).collect::<Vec<_>>(),
+        campaign.runs.iter().map(|run| (run.row, run.value)).collect::<Vec<_>>(),
         [(2, None), (3, None)]
     );
 }

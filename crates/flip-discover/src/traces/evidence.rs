@@ -58,6 +58,8 @@ pub(super) struct Course {
 pub(super) struct Fit {
     pub log_evidence: f64,
     pub first: f64,
+    /// Along directions that the readings can see: how a course divides into its common part and
+    /// equal parts of all groups is not among them.
     pub first_sd: f64,
     /// Part of the squares that the signature leaves.
     pub left: f64,

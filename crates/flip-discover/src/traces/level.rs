@@ -12,7 +12,7 @@
 //! caller decides how much may remain.
 
 use super::catalogue::TraceMechanism;
-use super::evidence::{AMPLITUDES, Fit, Whitening};
+use super::evidence::{AMPLITUDES, Fit, Signature, Whitening};
 use flip_core::stats::mixed_model::log_mean_exp;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
@@ -101,22 +101,24 @@ impl Form {
     }
 }
 
-/// Scale, shape and span of a form.
-#[derive(Debug, Clone, Copy)]
-struct Sized {
-    scale: f64,
-    shape: Option<f64>,
-    span: f64,
-}
-
-/// Results under one noise: for the noise itself, for each cause, and for the sizes in the measured
-/// readings.
+/// Results under one noise: for the noise itself, for each cause, and the fits of each cause to the
+/// measured readings.
 struct Seen {
     null: Vec<f64>,
     causes: Vec<Vec<f64>>,
-    sizes: Vec<Vec<(Fit, Sized)>>,
+    fits: Vec<Vec<FormFit>>,
+    /// Of the measured readings.
     squares: f64,
     freedom: f64,
+}
+
+/// A form and its fit at one amplitude.
+#[derive(Clone, Copy)]
+struct FormFit {
+    fit: Fit,
+    scale: f64,
+    shape: Option<f64>,
+    span: f64,
 }
 
 /// Judges observations `[n, 1 + simulated]` on all causes of this level. `white` is the variance of
@@ -151,91 +153,167 @@ pub(super) fn judge(
 }
 
 fn see(noise: &Noise, hypotheses: &[Hypothesis], observations: &DMatrix<f64>) -> Seen {
-    let floor = noise.floor;
-    let noise = &noise.model;
-    let through = noise.apply(observations);
+    let through = noise.model.apply(observations);
     let squares: Vec<f64> =
-        through.column_iter().map(|column| column.norm_squared() + floor).collect();
-    let null: Vec<f64> = squares.iter().map(|&squares| noise.log_null(squares)).collect();
-    let (mut causes, mut sizes) = (Vec::new(), Vec::new());
-    for hypothesis in hypotheses {
-        let sign = hypothesis.mechanism.sign();
-        let mut of_forms: Vec<Vec<f64>> = vec![Vec::new(); squares.len()];
-        let mut of_sizes = Vec::new();
-        for form in &hypothesis.forms {
-            let course = noise.course(&form.course, &hypothesis.group, &through);
-            for &differ in &hypothesis.differ {
-                let signature = course.signature(differ);
-                for amplitude in AMPLITUDES {
-                    for (k, logs) in of_forms.iter_mut().enumerate() {
-                        let Some(signature) = &signature else {
-                            logs.push(null[k]);
-                            continue;
-                        };
-                        let fit = noise.fit(signature, k, squares[k], amplitude, sign);
-                        logs.push(fit.log_evidence);
-                        if k == 0 {
-                            of_sizes.push((
-                                fit,
-                                Sized { scale: form.scale, shape: form.shape, span: form.span },
-                            ));
-                        }
-                    }
-                }
-            }
-        }
-        causes.push(of_forms.iter().map(|logs| log_mean_exp(logs)).collect());
-        sizes.push(of_sizes);
-    }
-    Seen { null, causes, sizes, squares: squares[0], freedom: noise.freedom }
+        through.column_iter().map(|column| column.norm_squared() + noise.floor).collect();
+    let null: Vec<f64> = squares.iter().map(|&squares| noise.model.log_null(squares)).collect();
+    let whitened = Whitened { noise: &noise.model, through, squares, null };
+    let (causes, fits) = hypotheses.iter().map(|hypothesis| whitened.judge(hypothesis)).unzip();
+    let Whitened { squares, null, .. } = whitened;
+    Seen { null, causes, fits, squares: squares[0], freedom: noise.model.freedom }
 }
 
-fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Estimate {
-    let counts = [false, true]
-        .map(|which| noises.iter().filter(|noise| noise.is_wander == which).count().max(1));
-    let mut new = Estimate::default();
-    // With the most probable plain noise: its log weight, the part of the squares that the cause
-    // explains, and the part beyond noise.
-    let (mut plain, mut is_plain) = ((f64::NEG_INFINITY, 0.0, 0.0), Vec::new());
-    new.left = 1.0;
-    for (noise, seen) in noises.iter().zip(seen) {
-        let log_prior = -(counts[usize::from(noise.is_wander)] as f64).ln();
-        for &(fit, Sized { scale, shape, span }) in &seen.sizes[h] {
-            let log_weight = fit.log_evidence + log_prior;
-            let (size, sd) = (fit.first * scale, fit.first_sd * scale);
-            new.parts.push(Part { weight: log_weight, size, sd, shape, span });
-            is_plain.push(!noise.is_wander);
-            if !noise.is_wander && log_weight > plain.0 {
-                let more = white.map_or(f64::INFINITY, |white| seen.squares - white * seen.freedom);
-                plain = (log_weight, seen.squares - fit.left, more);
-                new.left = if seen.squares > 0.0 {
-                    (fit.left / seen.squares).clamp(0.0, 1.0)
-                } else {
-                    1.0
-                };
+/// Observations passed through one noise.
+struct Whitened<'a> {
+    noise: &'a Whitening,
+    through: DMatrix<f64>,
+    /// Of each observation.
+    squares: Vec<f64>,
+    null: Vec<f64>,
+}
+
+impl Whitened<'_> {
+    /// Log evidence of a cause in each observation, averaged over its forms, over how much groups
+    /// differ in it, and over amplitudes; and all fits to the first observation.
+    fn judge(&self, hypothesis: &Hypothesis) -> (Vec<f64>, Vec<FormFit>) {
+        let sign = hypothesis.mechanism.sign();
+        let mut logs: Vec<Vec<f64>> = vec![Vec::new(); self.squares.len()];
+        let mut fits = Vec::new();
+        for (form, signature) in self.signatures(hypothesis) {
+            let Some(signature) = signature else {
+                // What the fixed part explains is as likely as noise, at every amplitude.
+                let unseen =
+                    |(logs, null): (&mut Vec<f64>, &f64)| logs.extend([*null; AMPLITUDES.len()]);
+                logs.iter_mut().zip(&self.null).for_each(unseen);
+                continue;
+            };
+            let fit = |k: usize, amplitude: f64| {
+                self.noise.fit(&signature, k, self.squares[k], amplitude, sign)
+            };
+            for (k, logs) in logs.iter_mut().enumerate() {
+                logs.extend(AMPLITUDES.map(|amplitude| fit(k, amplitude).log_evidence));
             }
+            let Form { scale, shape, span, .. } = *form;
+            fits.extend(AMPLITUDES.map(|amplitude| FormFit {
+                fit: fit(0, amplitude),
+                scale,
+                shape,
+                span,
+            }));
+        }
+        (logs.iter().map(|logs| log_mean_exp(logs)).collect(), fits)
+    }
+
+    /// The signature of each form, for every amount by which groups may differ in it; `None` where
+    /// the fixed part explains it.
+    fn signatures<'h>(
+        &self,
+        hypothesis: &'h Hypothesis,
+    ) -> impl Iterator<Item = (&'h Form, Option<Signature>)> {
+        hypothesis.forms.iter().flat_map(|form| {
+            let course = self.noise.course(&form.course, &hypothesis.group, &self.through);
+            hypothesis.differ.iter().map(move |&differ| (form, course.signature(differ)))
+        })
+    }
+}
+
+/// The estimate of a cause from its fits under every noise.
+///
+/// ```text
+/// size        mixture over fits of N(c, sd^2), each by its evidence and the prior of its noise
+/// E_p, E_w    mean evidence of the cause over plain and over wandering noises
+/// P           E_p / (E_p + E_w): the probability that nothing wanders alongside
+/// g           log(E_p / E_0) / log(((E_p + E_w) / 2) / E_0): share of the log evidence gained without a wander
+/// q           squares the best plain fit explains / squares beyond those of white noise
+/// explained   P + (1 - P) max(g, q)
+/// ```
+///
+/// Where nothing wanders the cause explains all structure there is; where something does, it
+/// explains what it gains alone. q rescues a cause that explains nearly every square of very many:
+/// there any smallest rest is evidence for a wander.
+fn estimate(noises: &[Noise], seen: &[Seen], h: usize, white: Option<f64>) -> Estimate {
+    let kinds = Kinds::of(noises);
+    let plain_null: Vec<f64> =
+        noises.iter().zip(seen).filter(|it| !it.0.is_wander).map(|it| it.1.null[0]).collect();
+    let (mut parts, mut is_plain) = (Vec::new(), Vec::new());
+    let mut best: Option<Best> = None;
+    for (noise, seen) in noises.iter().zip(seen) {
+        for fit in &seen.fits[h] {
+            let part = Part::of(fit, kinds.log_prior(noise.is_wander));
+            if !noise.is_wander && best.as_ref().is_none_or(|best| part.weight > best.log_weight) {
+                best = Some(Best { log_weight: part.weight, left: fit.fit.left, seen });
+            }
+            parts.push(part);
+            is_plain.push(!noise.is_wander);
         }
     }
-    let null: Vec<f64> =
-        noises.iter().zip(seen).filter(|it| !it.0.is_wander).map(|it| it.1.null[0]).collect();
-    let of = |which: bool| {
-        let kept: Vec<f64> = (0..is_plain.len())
-            .filter(|&k| is_plain[k] == which)
-            .map(|k| new.parts[k].weight)
-            .collect();
-        let sizes = kept.len() as f64 / counts[usize::from(!which)] as f64;
-        log_mean_exp(&kept) + (kept.len() as f64).ln() - sizes.ln()
+    let mean_evidence = |which: bool| {
+        let kept = parts.iter().zip(&is_plain).filter(|it| *it.1 == which);
+        let logs: Vec<f64> = kept.map(|it| it.0.weight).collect();
+        let fits_of_noise = logs.len() as f64 / kinds.count(!which) as f64;
+        log_mean_exp(&logs) + (logs.len() as f64).ln() - fits_of_noise.ln()
     };
-    let (alone, both) = (of(true), log_mean_exp(&[of(true), of(false)]));
+    let alone = mean_evidence(true);
+    let both = log_mean_exp(&[alone, mean_evidence(false)]);
     let alone_probability = (alone - 2f64.ln() - both).exp().min(1.0);
-    let gain = ((alone - log_mean_exp(&null))
-        / (both - log_mean_exp(&null)).max(f64::MIN_POSITIVE))
-    .clamp(0.0, 1.0);
-    let squares = if plain.2 > 0.0 { (plain.1 / plain.2).min(1.0) } else { 0.0 };
-    new.explained = alone_probability + (1.0 - alone_probability) * gain.max(squares);
-    let best = new.parts.iter().map(|part| part.weight).fold(f64::NEG_INFINITY, f64::max);
-    new.parts.iter_mut().for_each(|part| part.weight = (part.weight - best).exp());
-    new
+    let null = log_mean_exp(&plain_null);
+    let gain = ((alone - null) / (both - null).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    let squares = best.as_ref().map_or(0.0, |best| best.share_beyond(white));
+    let explained = alone_probability + (1.0 - alone_probability) * gain.max(squares);
+    let left = best.as_ref().map_or(1.0, Best::share_left);
+    let heaviest = parts.iter().map(|part| part.weight).fold(f64::NEG_INFINITY, f64::max);
+    parts.iter_mut().for_each(|part| part.weight = (part.weight - heaviest).exp());
+    Estimate { parts, explained, left }
+}
+
+/// How many noises are plain, and how many wander.
+struct Kinds([usize; 2]);
+
+impl Kinds {
+    fn of(noises: &[Noise]) -> Self {
+        let count = |which| noises.iter().filter(|noise| noise.is_wander == which).count().max(1);
+        Self([false, true].map(count))
+    }
+
+    fn count(&self, is_wander: bool) -> usize {
+        self.0[usize::from(is_wander)]
+    }
+
+    /// Either kind is as probable, and so are the noises of one.
+    fn log_prior(&self, is_wander: bool) -> f64 {
+        -(self.count(is_wander) as f64).ln()
+    }
+}
+
+/// The most probable fit under plain noise.
+struct Best<'a> {
+    log_weight: f64,
+    /// Squares that the fit leaves.
+    left: f64,
+    seen: &'a Seen,
+}
+
+impl Best<'_> {
+    /// Share of the squares beyond those of white noise that the fit explains; nothing if the
+    /// variance of white noise is not known.
+    fn share_beyond(&self, white: Option<f64>) -> f64 {
+        let Seen { squares, freedom, .. } = *self.seen;
+        let beyond = white.map_or(f64::INFINITY, |white| squares - white * freedom);
+        if beyond > 0.0 { ((squares - self.left) / beyond).min(1.0) } else { 0.0 }
+    }
+
+    fn share_left(&self) -> f64 {
+        let squares = self.seen.squares;
+        if squares > 0.0 { (self.left / squares).clamp(0.0, 1.0) } else { 1.0 }
+    }
+}
+
+impl Part {
+    /// The size by one fit; its weight is a logarithm until all are known.
+    fn of(&FormFit { fit, scale, shape, span }: &FormFit, log_prior: f64) -> Self {
+        let (size, sd) = (fit.first * scale, fit.first_sd * scale);
+        Self { weight: fit.log_evidence + log_prior, size, sd, shape, span }
+    }
 }
 
 impl Estimate {
@@ -293,3 +371,6 @@ impl Estimate {
         Some([middle, (low * below).sqrt(), (high * above).sqrt()])
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,10 +1,8 @@
 //! Recorded balance readings during weighings.
 
+pub use crate::thresholds::trace::READINGS_MIN;
 use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
-
-/// Fewest readings that can be judged.
-pub const READINGS_MIN: usize = 30;
 
 /// One reading of the balance and the conditions recorded with it; `None` where not recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -1,24 +1,22 @@
 //! The part of a document about balance readings.
 
-use super::super::claim::{self, Proposal, is_told};
-use super::super::investigate::{CERTAIN, CLAIM, SIGNIFICANCE, WORTH_TELLING};
-use super::super::report::{
+use super::words;
+use super::{Kind, Parameter, TraceCause, TraceJudged, TraceMechanism, TraceScreening, Traces};
+use crate::judge::claim::{self, Proposal};
+use crate::report::printed::is_told;
+use crate::report::{
     CauseReport, Channel, Evidence, Finding, FormClass, NullCheck, ParameterReport, TraceChannel,
     Unexplained, UntestableReport, Verdict,
 };
-use super::words;
-use super::{Kind, Parameter, TraceCause, TraceJudged, TraceMechanism, TraceScreening, Traces};
+use crate::thresholds::trace::LEAD_MIN;
+use crate::thresholds::{CERTAIN, CLAIM, SIGNIFICANCE, WORTH_TELLING};
 use std::f64::consts::LN_10;
-
-/// Share of its log evidence over that of a wander, which every cause may have alongside it, by
-/// which a cause must lead every other: a smaller lead may be due to the forms chosen.
-const LEAD_MIN: f64 = 0.1;
 
 /// Something that wanders in each weighing in its own way, as named in documents.
 pub const WANDER: &str = "wander";
 
 /// The parts of a document that come from balance readings.
-pub(in super::super) struct TraceReport {
+pub(crate) struct TraceReport {
     pub channel: TraceChannel,
     pub sentence: String,
     pub findings: Vec<Finding>,
@@ -31,11 +29,7 @@ pub(in super::super) struct TraceReport {
 }
 
 /// The result of a screening; `corrected` is its p-value, given what else is judged.
-pub(in super::super) fn report(
-    traces: &Traces,
-    screening: &TraceScreening,
-    corrected: f64,
-) -> TraceReport {
+pub(crate) fn report(traces: &Traces, screening: &TraceScreening, corrected: f64) -> TraceReport {
     let (proposal, told) = judge(screening, corrected);
     let has_effect =
         told.first().and_then(|it| it.effect.as_ref()).is_some_and(|it| is_told(it.ci95, it.unit));

@@ -20,6 +20,7 @@ use super::readings::{Kind, Traces};
 use super::shakes;
 use super::simulate::{self, Scatter};
 use super::span::Along;
+use crate::thresholds::trace::EXPLAINED_MIN;
 use flip_core::domain::FieldError;
 use flip_core::stats::mixed_model::log_mean_exp;
 use nalgebra::DMatrix;
@@ -27,9 +28,6 @@ use rayon::prelude::*;
 
 /// How much powders or sessions may differ in a cause, relative to their common part.
 const DIFFERENCES: [f64; 2] = [0.3, 1.0];
-/// Share of structure that a cause must explain, the rest being wander, for its residuals to count
-/// as white.
-pub(super) const EXPLAINED_MIN: f64 = 0.5;
 /// Most averaged readings of all simulations together: about ten matrices of this many numbers are
 /// held at once.
 const SIMULATED_ROWS_MAX: usize = 20_000_000;

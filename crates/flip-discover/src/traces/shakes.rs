@@ -17,15 +17,10 @@ use super::design::Design;
 use super::level::Verdict;
 use super::noise::{Masses, SCATTERS, ShakeNoise};
 use super::readings::Kind;
-use super::screen::{EXPLAINED_MIN, Unjudged};
+use super::screen::Unjudged;
+use crate::thresholds::trace::{EXPLAINED_MIN, LAWFUL, SPARE_SHAKES_MIN};
 use nalgebra::{DMatrix, DVector};
 
-/// Fewest shakes beyond the columns of the response that can be judged.
-const SPARE_MIN: usize = 12;
-
-/// Share of simulated readings, which follow a law, that wander as much as those reported to follow
-/// none.
-const LAWFUL: f64 = 0.05;
 /// Number of sets of simulated doses among which this one would be the first of twenty.
 const SETS: usize = 19;
 
@@ -44,7 +39,7 @@ pub(super) fn response(design: &Design) -> Option<Masses> {
     }
     let masses = design.masses(&design.shown_mg);
     let fixed = columns(design);
-    if masses.len() < fixed.ncols() + SPARE_MIN {
+    if masses.len() < fixed.ncols() + SPARE_SHAKES_MIN {
         return None;
     }
     let late = |k: usize| design.plateaus[k].readings.len().div_ceil(2) as f64;

@@ -1,10 +1,10 @@
 //! A document's sentences about balance readings, made from its numbers, and the controls that
 //! would prove a cause.
 
-use super::super::claim::is_told;
-use super::super::report::{Experiment, TraceChannel, Verdict};
-use super::super::sizes;
 use super::{Kind, TraceCause, TraceJudged, TraceMechanism, TraceScreening, Traces};
+use crate::report::printed::is_told;
+use crate::report::sizes;
+use crate::report::{Experiment, TraceChannel, Verdict};
 use std::collections::BTreeMap;
 
 /// One run of a control: column and value.
