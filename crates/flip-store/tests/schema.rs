@@ -145,11 +145,11 @@ async fn readable(store: &Store) -> Vec<(&'static str, usize)> {
 
 /// Columns, references, indexes, triggers and views; not the CHECKs.
 async fn structure(pool: &SqlitePool) -> BTreeSet<String> {
-    let columns = "SELECT concat_ws(' ', t.name, c.cid, c.name, c.type, c.\"notnull\", c.dflt_value, c.pk) \
-                   FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'";
-    let references = "SELECT concat_ws(' ', t.name, f.\"from\", f.\"table\", f.\"to\", f.on_delete) \
-                      FROM sqlite_schema t, pragma_foreign_key_list(t.name) f WHERE t.type = 'table'";
-    let unique = "SELECT concat_ws(' ', t.name, i.\"unique\", i.origin, c.name) FROM sqlite_schema t, \
+    let columns = "SELECT concat_ws(' ', t.name, c.cid, c.name, c.type, c.[notnull], c.dflt_value, \
+                   c.pk) FROM sqlite_schema t, pragma_table_info(t.name) c WHERE t.type = 'table'";
+    let references = "SELECT concat_ws(' ', t.name, f.[from], f.[table], f.[to], f.on_delete) FROM \
+                      sqlite_schema t, pragma_foreign_key_list(t.name) f WHERE t.type = 'table'";
+    let unique = "SELECT concat_ws(' ', t.name, i.[unique], i.origin, c.name) FROM sqlite_schema t, \
                   pragma_index_list(t.name) i, pragma_index_info(i.name) c WHERE t.type = 'table'";
     let others = "SELECT concat_ws(' ', type, tbl_name, sql) FROM sqlite_schema \
                   WHERE type <> 'table' AND sql IS NOT NULL";
@@ -227,7 +227,8 @@ fn released_migrations_stay_as_they_were() {
     assert!(levels().iter().all(|level| pinned.contains(&format!("{level:04} "))));
 }
 
-const JOB: &str = "INSERT INTO job (id, kind, spec, spec_sha256, state, owner, lease_until, result, created_at, finished_at) \
+const JOB: &str = "INSERT INTO job (id, kind, spec, spec_sha256, state, owner, lease_until, result, \
+                   created_at, finished_at) \
                    VALUES ('new', ?1, '{}', randomblob(32), ?2, ?3, ?4, ?5, 0, ?6)";
 
 /// Inserts a job; `leased`, `result` and `ended` say which columns are filled.

@@ -221,7 +221,7 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
     }
     // Of a newer program, and older than any other.
     let foreign = "INSERT INTO job (seq, id, kind, spec, spec_sha256, state, created_at) \
-                   VALUES (-1, 'foreign', 'seance', '{}', zeroblob(32), 'queued', 0)";
+                   VALUES (-1, 'foreign', 'seance', '{}', randomblob(32), 'queued', 0)";
     sqlx::query(foreign).execute(ledger.store.writer().unwrap()).await.unwrap();
     let next = async |seconds| -> Vec<String> {
         let claimable = ledger.store.claimable(at(seconds)).await.unwrap();
