@@ -144,7 +144,7 @@ impl Mechanism {
     /// Its strength by the named form at these covariate values; `None` if it has no such form.
     pub(crate) fn strength(self, form: &str, values: &[f64]) -> Option<f64> {
         let at = |forms: &[Form], name: &str, value: f64| {
-            Some(forms.iter().find(|it| it.0 == name)?.1(value))
+            Some(forms.iter().find(|form| form.0 == name)?.1(value))
         };
         match (self, form.split_once(TIMES), values) {
             (Self::HumidAgeing, Some((humid, aged)), [h, t]) => {

@@ -79,7 +79,8 @@ impl Hypothesis {
         powder: &[usize],
         response: Option<&[f64]>,
     ) -> Self {
-        let each = || courses.iter().flat_map(|it| DEVIATIONS.map(|deviation| (it, deviation)));
+        let each =
+            || courses.iter().flat_map(|course| DEVIATIONS.map(|deviation| (course, deviation)));
         let features =
             each().map(|((_, course), deviation)| match response.filter(|_| deviation < 1.0) {
                 Some(response) => course.scaled(response, powder).with_powders(powder, deviation),

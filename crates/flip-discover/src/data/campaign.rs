@@ -224,10 +224,10 @@ impl Campaign {
     pub fn joined(&self, other: &Self) -> Self {
         let mut all = Self { flow_time_s: Vec::new(), ..self.clone() };
         let session = all.runs.iter().map(|run| run.session + 1).max().unwrap_or(0);
-        let known = |powder: &String| self.powders.iter().position(|it| it == powder);
+        let known = |powder: &String| self.powders.iter().position(|own| own == powder);
         all.powders.extend(other.powders.iter().filter(|powder| known(powder).is_none()).cloned());
         let place = |powder: usize| {
-            all.powders.iter().position(|it| *it == other.powders[powder]).unwrap_or(0)
+            all.powders.iter().position(|own| *own == other.powders[powder]).unwrap_or(0)
         };
         let moved = |run: &Run| Run {
             powder: place(run.powder),
@@ -246,7 +246,7 @@ impl Campaign {
                 ) => {
                     let level = |level: &Option<usize>| {
                         let name = &theirs[(*level)?];
-                        names.iter().position(|it| it == name)
+                        names.iter().position(|own| own == name)
                     };
                     of.extend(more.iter().map(level));
                 }

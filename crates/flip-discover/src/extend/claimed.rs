@@ -41,15 +41,20 @@ pub fn extend(
 ) -> Result<Option<Extended>, FieldError> {
     let (campaign, _) = &follows::without(campaign);
     let claimed = report.causes.iter().filter(|cause| cause.confidence_level > 1);
-    let known = claimed
-        .filter_map(|cause| Mechanism::ALL.into_iter().find(|it| it.name().0 == cause.mechanism));
+    let known = claimed.filter_map(|cause| {
+        Mechanism::ALL.into_iter().find(|mechanism| mechanism.name().0 == cause.mechanism)
+    });
     // A covariate that affects only flow times or balance readings makes no angle.
     let of_angles = |covariate: &&String| {
         let mut found = report.findings.iter().filter(|finding| finding.channel == Channel::Repose);
         found.any(|finding| finding.covariate.as_ref() == Some(*covariate))
     };
-    let unknown =
-        report.unexplained.iter().filter_map(|it| it.covariate.as_ref()).filter(of_angles).cloned();
+    let unknown = report
+        .unexplained
+        .iter()
+        .filter_map(|unexplained| unexplained.covariate.as_ref())
+        .filter(of_angles)
+        .cloned();
     let unknown = unknown.map(Cause::Unknown);
     let causes: Vec<Cause> = known.map(Cause::Known).chain(unknown).collect();
     let mut extensions = Vec::new();
@@ -115,7 +120,8 @@ fn extension(
         shares.map_or(1.0, |of| of[powder] * powders as f64 / of.iter().sum::<f64>())
     };
     let on_powder = |powder: usize| {
-        let own = evaluated.effect(powder..powder + 1).map_or(effect_deg, |it| it.moments().0);
+        let own =
+            evaluated.effect(powder..powder + 1).map_or(effect_deg, |effect| effect.moments().0);
         let factor = (own / effect_deg / share(powder)).clamp(0.0, FACTOR_MAX);
         let effect_deg = if factor > 0.0 { own } else { 0.0 };
         OnPowder { powder: campaign.powders[powder].clone(), effect_deg, factor }
@@ -309,7 +315,7 @@ fn shares(campaign: &Campaign, covariate: &str, names: &[String]) -> BTreeMap<St
     };
     let seen: Vec<usize> = campaign.measured().into_iter().filter_map(|i| of[i]).collect();
     let share = |level: usize| {
-        seen.iter().filter(|&&it| it == level).count() as f64 / seen.len().max(1) as f64
+        seen.iter().filter(|&&seen| seen == level).count() as f64 / seen.len().max(1) as f64
     };
     names.iter().enumerate().map(|(level, name)| (name.clone(), share(level))).collect()
 }
@@ -346,14 +352,18 @@ fn at_reference(
     extensions: &[Extension],
 ) -> Result<Vec<AtReference>, FieldError> {
     let (mut places, mut conditions) = (Places::new(), Conditions::new());
-    for through in
-        extensions.iter().filter(|it| it.hook != Hook::Reading).flat_map(|it| &it.through)
+    for through in extensions
+        .iter()
+        .filter(|extension| extension.hook != Hook::Reading)
+        .flat_map(|extension| &extension.through)
     {
         let setting = match &through.reference {
             Condition::Number(number) => Some(Setting::Number(*number)),
             Condition::Name(name) => {
                 let names = levels(campaign, &through.name);
-                names.and_then(|names| names.iter().position(|it| it == name)).map(Setting::Level)
+                names
+                    .and_then(|names| names.iter().position(|known| known == name))
+                    .map(Setting::Level)
             }
         };
         places.extend(setting.map(|setting| (through.name.clone(), setting)));
@@ -367,8 +377,9 @@ fn at_reference(
     let mut powders = Vec::new();
     for (k, powder) in campaign.powders.iter().enumerate() {
         let [_, after] = predicted[first + k];
-        let acting = extensions.iter().filter(|it| it.hook != Hook::Reading);
-        let shift_deg: f64 = acting.map(|it| it.shift_deg(Some(powder), &conditions)).sum();
+        let acting = extensions.iter().filter(|extension| extension.hook != Hook::Reading);
+        let shift_deg: f64 =
+            acting.map(|extension| extension.shift_deg(Some(powder), &conditions)).sum();
         let n = campaign.runs.iter().filter(|run| run.powder == k && run.value.is_some()).count()
             as u32;
         // A powder without an angle has no prediction.

@@ -142,7 +142,7 @@ impl Extended {
         powder: Option<&str>,
         conditions: &Conditions,
     ) -> Result<Patch, Vec<FieldError>> {
-        self.checked(conditions, |it| it.hook != Hook::Reading)?;
+        self.checked(conditions, |extension| extension.hook != Hook::Reading)?;
         let mut patch = Patch::default();
         for extension in &self.extensions {
             let strength =
@@ -171,7 +171,7 @@ impl Extended {
         conditions: &Conditions,
     ) -> Result<f64, Vec<FieldError>> {
         self.checked(conditions, |_| true)?;
-        Ok(self.extensions.iter().map(|it| it.shift_deg(powder, conditions)).sum())
+        Ok(self.extensions.iter().map(|extension| extension.shift_deg(powder, conditions)).sum())
     }
 
     /// Conditions of `count` days, seeded: held conditions are as given, the rest follow the
@@ -187,8 +187,11 @@ impl Extended {
     ) -> Result<Vec<Conditions>, Vec<FieldError>> {
         self.checked(held, |_| false)?;
         let mut days = vec![held.clone(); count];
-        for (k, through) in
-            self.through().into_iter().filter(|it| !held.contains_key(&it.name)).enumerate()
+        for (k, through) in self
+            .through()
+            .into_iter()
+            .filter(|through| !held.contains_key(&through.name))
+            .enumerate()
         {
             let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[k as u64]));
             let mut shares: Vec<f64> =
@@ -204,8 +207,8 @@ impl Extended {
     /// Every covariate the causes act through, each once.
     pub fn through(&self) -> Vec<&Through> {
         let mut all: Vec<&Through> = Vec::new();
-        for through in self.extensions.iter().flat_map(|it| &it.through) {
-            if !all.iter().any(|it| it.name == through.name) {
+        for through in self.extensions.iter().flat_map(|extension| &extension.through) {
+            if !all.iter().any(|known| known.name == through.name) {
                 all.push(through);
             }
         }
@@ -219,10 +222,11 @@ impl Extended {
     ) -> Result<(), Vec<FieldError>> {
         let all = self.through();
         let field = |name: &str| format!("conditions.{name}");
-        let names = || all.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ");
+        let names =
+            || all.iter().map(|through| through.name.as_str()).collect::<Vec<_>>().join(", ");
         let mut errors = Vec::new();
         for (name, condition) in conditions {
-            match all.iter().find(|it| it.name == *name) {
+            match all.iter().find(|through| through.name == *name) {
                 Some(through) => errors.extend(
                     through.refusal(condition).map(|why| FieldError::new(field(name), why)),
                 ),
@@ -236,16 +240,17 @@ impl Extended {
             }
         }
         let is_needed = |name: &str| {
-            self.extensions
-                .iter()
-                .any(|it| needed(it) && it.through.iter().any(|through| through.name == name))
+            self.extensions.iter().any(|extension| {
+                needed(extension) && extension.through.iter().any(|through| through.name == name)
+            })
         };
-        let missing =
-            all.iter().filter(|it| !conditions.contains_key(&it.name) && is_needed(&it.name));
-        errors.extend(missing.map(|it| {
+        let missing = all
+            .iter()
+            .filter(|through| !conditions.contains_key(&through.name) && is_needed(&through.name));
+        errors.extend(missing.map(|through| {
             FieldError::new(
-                field(&it.name),
-                format!("is missing: the version acts through it; give {}", it.bounds()),
+                field(&through.name),
+                format!("is missing: the version acts through it; give {}", through.bounds()),
             )
         }));
         if errors.is_empty() { Ok(()) } else { Err(errors) }
@@ -276,7 +281,7 @@ impl Extension {
 
     /// Effect in degrees and factor of a powder.
     fn on(&self, powder: Option<&str>) -> (f64, f64) {
-        let own = self.powders.iter().find(|it| Some(it.powder.as_str()) == powder);
+        let own = self.powders.iter().find(|on| Some(on.powder.as_str()) == powder);
         own.map_or((self.effect_deg, 1.0), |own| (own.effect_deg, own.factor))
     }
 
@@ -287,7 +292,7 @@ impl Extension {
                 *strengths.get(&conditions.get(&self.through.first()?.name)?.to_string())?
             }
             form => {
-                let number = |it: &Through| match conditions.get(&it.name)? {
+                let number = |through: &Through| match conditions.get(&through.name)? {
                     Condition::Number(number) => Some(*number),
                     Condition::Name(_) => None,
                 };
@@ -307,14 +312,16 @@ impl Extension {
     }
 
     fn named(&self, form: &str, values: &[f64]) -> Option<f64> {
-        let mechanism = Mechanism::ALL.into_iter().find(|it| it.name().0 == self.mechanism)?;
+        let mechanism =
+            Mechanism::ALL.into_iter().find(|mechanism| mechanism.name().0 == self.mechanism)?;
         mechanism.strength(form, values)
     }
 }
 
 /// A course at a point, constant beyond its ends.
 fn along(course: &[[f64; 2]], at: f64) -> Option<f64> {
-    let next = course.iter().position(|it| it[0] >= at).unwrap_or(course.len().checked_sub(1)?);
+    let next =
+        course.iter().position(|place| place[0] >= at).unwrap_or(course.len().checked_sub(1)?);
     let ([low, below], [high, above]) = (course[next.saturating_sub(1)], course[next]);
     let share = if high > low { ((at - low) / (high - low)).clamp(0.0, 1.0) } else { 0.0 };
     Some(below + share * (above - below))

@@ -64,13 +64,13 @@ pub fn fit(
     let mut stands: Vec<(usize, &OnPowder)> = extension
         .powders
         .iter()
-        .filter(|it| it.factor > 0.0)
-        .filter_map(|it| Some((sets.iter().position(|set| set.powder == it.powder)?, it)))
+        .filter(|on| on.factor > 0.0)
+        .filter_map(|on| Some((sets.iter().position(|set| set.powder == on.powder)?, on)))
         .collect();
     stands.sort_by(|a, b| b.1.effect_deg.abs().total_cmp(&a.1.effect_deg.abs()));
     stands.truncate(POWDERS.min(budget as usize / STAGES));
     let repeats = budget as usize / (STAGES * stands.len().max(1));
-    let effects: Vec<f64> = stands.iter().map(|it| it.1.effect_deg).collect();
+    let effects: Vec<f64> = stands.iter().map(|stand| stand.1.effect_deg).collect();
     let effect = mean(&effects)?;
     let heaps = |amplitude: f64, stage: u64| -> Option<Vec<Vec<f64>>> {
         let of: Vec<(usize, usize)> =
@@ -84,7 +84,7 @@ pub fn fit(
         let angles = of.iter().zip(angles).filter_map(|(&(k, _), angle)| Some((k, angle?)));
         let angles: Vec<(usize, f64)> = angles.collect();
         let by_powder = (0..stands.len())
-            .map(|k| angles.iter().filter(|it| it.0 == k).map(|it| it.1).collect());
+            .map(|k| angles.iter().filter(|angle| angle.0 == k).map(|angle| angle.1).collect());
         let by_powder: Vec<Vec<f64>> = by_powder.collect();
         by_powder.iter().all(|angles| !angles.is_empty()).then_some(by_powder)
     };
@@ -103,8 +103,9 @@ pub fn fit(
     let verifying = heaps(value, VERIFICATION)?;
     let variance = variance(&[&reference, &at_first, &at_second, &fresh, &verifying]);
     let error = |a: &[Vec<f64>], b: &[Vec<f64>]| {
-        let of =
-            |angles: &[Vec<f64>]| angles.iter().map(|it| variance / it.len() as f64).sum::<f64>();
+        let of = |angles: &[Vec<f64>]| {
+            angles.iter().map(|angles| variance / angles.len() as f64).sum::<f64>()
+        };
         (of(a) + of(b)).sqrt() / stands.len() as f64
     };
     let errors = [error(&at_first, &reference), error(&at_second, &reference)];
@@ -126,7 +127,7 @@ pub fn fit(
         extension.amplitude.ci95
     };
     let fit = Fit {
-        sets: stands.iter().map(|it| sets[it.0].clone()).collect(),
+        sets: stands.iter().map(|stand| sets[stand.0].clone()).collect(),
         runs: (STAGES * stands.len() * repeats) as u32,
         shifts: vec![[first, shifts[0], errors[0]], [second, shifts[1], errors[1]]],
         verification: [found, error_deg],

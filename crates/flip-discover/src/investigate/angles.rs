@@ -102,8 +102,11 @@ fn document(
     })
 }
 
-fn untestable(it: &Untestable) -> UntestableReport {
-    UntestableReport { mechanism: it.mechanism.name().0.to_owned(), reason: it.reason.clone() }
+fn untestable(cause: &Untestable) -> UntestableReport {
+    UntestableReport {
+        mechanism: cause.mechanism.name().0.to_owned(),
+        reason: cause.reason.clone(),
+    }
 }
 
 /// The experiment that would tell most: what is open apart, or whether the likeliest is nothing.
@@ -115,7 +118,9 @@ fn next_experiment(
     let Channel { campaign, responses, prepared, .. } = channel;
     if claim.verdict == Verdict::NoDiscrepancy {
         let likeliest = judgement.ranked.first();
-        return Ok(likeliest.and_then(|it| settling(campaign, prepared, &it.0, settings.seed)));
+        return Ok(
+            likeliest.and_then(|cause| settling(campaign, prepared, &cause.0, settings.seed))
+        );
     }
     let Some(causes) = judgement.to_tell_apart() else { return Ok(None) };
     let is_claimed = claim.verdict != Verdict::Ambiguous;
@@ -181,7 +186,9 @@ fn correlated(campaign: &Campaign) -> Vec<(String, String, f64)> {
     let known: Vec<(&str, Vec<f64>)> = campaign
         .covariates
         .iter()
-        .filter_map(|it| Some((it.name.as_str(), campaign.numbers(&it.name).ok()?)))
+        .filter_map(|covariate| {
+            Some((covariate.name.as_str(), campaign.numbers(&covariate.name).ok()?))
+        })
         .collect();
     let pairs = (0..known.len()).flat_map(|a| (a + 1..known.len()).map(move |b| (a, b)));
     let of = |(a, b): (usize, usize)| {
@@ -193,7 +200,7 @@ fn correlated(campaign: &Campaign) -> Vec<(String, String, f64)> {
 
 /// If nothing is found, the course is that of the simulator as it is.
 fn flat(mut curves: Vec<Curve>) -> Vec<Curve> {
-    curves.iter_mut().flat_map(|it| &mut it.course).for_each(|place| place[1] = 0.0);
+    curves.iter_mut().flat_map(|curve| &mut curve.course).for_each(|place| place[1] = 0.0);
     curves
 }
 
@@ -256,12 +263,12 @@ fn causes(prepared: &Prepared, posterior: &Posterior<'_>, claim: &Claim) -> Vec<
             family: family.to_owned(),
             inclusion_probability,
             confidence_level: if is_claimed { 2 } else { 1 },
-            parameters: finding.map_or(Vec::new(), |it| parameters(*mechanism, it)),
-            powders: finding.map_or(Vec::new(), |it| it.powders.clone()),
+            parameters: finding.map_or(Vec::new(), |finding| parameters(*mechanism, finding)),
+            powders: finding.map_or(Vec::new(), |finding| finding.powders.clone()),
         })
     };
     let mut causes: Vec<CauseReport> =
-        prepared.hypotheses.iter().filter_map(|it| report(&it.cause)).collect();
+        prepared.hypotheses.iter().filter_map(|hypothesis| report(&hypothesis.cause)).collect();
     causes.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
     causes
 }
@@ -288,8 +295,9 @@ mod tests {
             let claim = Claim::of(Proposal::Cause, told(), is_accepted);
             let causes = causes(&prepared, &posterior, &claim);
             let levels = |is_operator: bool| -> Vec<u8> {
-                let of = causes.iter().filter(|it| (it.mechanism == "operator") == is_operator);
-                of.map(|it| it.confidence_level).collect()
+                let of =
+                    causes.iter().filter(|cause| (cause.mechanism == "operator") == is_operator);
+                of.map(|cause| cause.confidence_level).collect()
             };
             assert!(levels(false).iter().all(|&level| level == 1));
             levels(true)

@@ -35,7 +35,8 @@ pub(crate) fn add(document: &mut Report, heard: Heard) {
         document.findings.extend(findings);
     }
     document.causes.sort_by(|a, b| b.inclusion_probability.total_cmp(&a.inclusion_probability));
-    let new = ambiguous_between.into_iter().filter(|it| !document.ambiguous_between.contains(it));
+    let new =
+        ambiguous_between.into_iter().filter(|cause| !document.ambiguous_between.contains(cause));
     let new: Vec<String> = new.collect();
     document.ambiguous_between.extend(new);
     document.unexplained = document.unexplained.take().or(unexplained);
@@ -54,14 +55,18 @@ pub(crate) fn add(document: &mut Report, heard: Heard) {
     if leads {
         parts.reverse();
     }
-    document.sentence =
-        parts.iter().filter(|it| !it.is_empty()).map(String::as_str).collect::<Vec<_>>().join(" ");
+    document.sentence = parts
+        .iter()
+        .filter(|part| !part.is_empty())
+        .map(String::as_str)
+        .collect::<Vec<_>>()
+        .join(" ");
 }
 
 /// Merges the results of two channels for one cause: the larger probability, and the numbers of
 /// both.
 fn add_cause(causes: &mut Vec<CauseReport>, cause: CauseReport) {
-    match causes.iter_mut().find(|it| it.mechanism == cause.mechanism) {
+    match causes.iter_mut().find(|known| known.mechanism == cause.mechanism) {
         None => causes.push(cause),
         Some(known) => {
             known.inclusion_probability =

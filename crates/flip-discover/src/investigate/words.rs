@@ -19,8 +19,10 @@ pub(crate) fn sentence(report: &Report, claim: &Claim, law: Option<&str>) -> Str
         Verdict::Unexplained => unexplained(report),
     };
     let gain = report.gain.as_ref().map_or(String::new(), gain);
-    let next =
-        report.suggested_experiment.as_ref().map_or(String::new(), |it| next(it, report.verdict));
+    let next = report
+        .suggested_experiment
+        .as_ref()
+        .map_or(String::new(), |experiment| next(experiment, report.verdict));
     [first, gain, next]
         .iter()
         .filter(|text| !text.is_empty())
@@ -32,11 +34,11 @@ pub(crate) fn sentence(report: &Report, claim: &Claim, law: Option<&str>) -> Str
 fn nothing(report: &Report, passing: Option<&Finding>) -> String {
     let smallest =
         report.minimum_detectable.iter().min_by(|a, b| a.effect_deg.total_cmp(&b.effect_deg));
-    let would = smallest.map_or(String::new(), |it| {
+    let would = smallest.map_or(String::new(), |effect| {
         format!(
             " This design would have shown an effect of {}° by {} in four of five campaigns; smaller effects cannot be ruled out.",
-            rounded(it.effect_deg),
-            names::lower(&names::cause(&it.mechanism))
+            rounded(effect.effect_deg),
+            names::lower(&names::cause(&effect.mechanism))
         )
     });
     format!(
@@ -74,7 +76,7 @@ fn percent(share: f64) -> String {
 }
 
 fn cause(report: &Report, claim: &Claim, law: Option<&str>) -> String {
-    let told = claim.told.iter().filter_map(|it| caused(it, report, "makes", "changes"));
+    let told = claim.told.iter().filter_map(|told| caused(told, report, "makes", "changes"));
     let told = told.collect::<Vec<_>>().join("; and ");
     let law = law.filter(|law| !law.starts_with("one number for each"));
     let law = law.map_or(String::new(), |law| {
@@ -93,7 +95,7 @@ fn caused(told: &Told, report: &Report, makes: &str, changes: &str) -> Option<St
         return Some(format!("the angle also goes with {with}: {}", sizes(finding)));
     };
     let mechanism = told.cause.name().0;
-    let known = report.causes.iter().find(|it| it.mechanism == mechanism)?;
+    let known = report.causes.iter().find(|cause| cause.mechanism == mechanism)?;
     let name = names::cause(&mechanism);
     let body = match is_of_levels(&mechanism) {
         false => format!("{name} {makes} {}", moved(finding, &ANGLES)),
@@ -111,16 +113,16 @@ fn caused(told: &Told, report: &Report, makes: &str, changes: &str) -> Option<St
 /// A candidate cause that is not established, and what it lacks.
 fn hint(report: &Report, claim: &Claim) -> String {
     let lacks = match &report.gain {
-        _ if claim.told.iter().all(|it| it.finding.as_ref().and_then(size).is_none()) => {
+        _ if claim.told.iter().all(|told| told.finding.as_ref().and_then(size).is_none()) => {
             "its effect is not told from zero"
         }
         Some(_) => "days left out are not predicted better by it",
         None => "there are too few days to leave any out",
     };
-    let told = claim.told.iter().filter_map(|it| caused(it, report, "may make", "may change"));
+    let told = claim.told.iter().filter_map(|told| caused(told, report, "may make", "may change"));
     format!(
         "A hint, and no cause yet, for {lacks}: {}.",
-        told.map(|it| names::lower(&it)).collect::<Vec<_>>().join("; and ")
+        told.map(|cause| names::lower(&cause)).collect::<Vec<_>>().join("; and ")
     )
 }
 
@@ -142,7 +144,7 @@ fn letters(report: &Report, law: &str) -> String {
 
 fn ambiguous(report: &Report) -> String {
     let names: Vec<String> =
-        report.ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
+        report.ambiguous_between.iter().map(|cause| names::lower(&names::cause(cause))).collect();
     let size =
         report.findings.iter().find_map(size).map_or(String::new(), |size| format!(": {size}"));
     format!(
@@ -152,8 +154,8 @@ fn ambiguous(report: &Report) -> String {
 }
 
 fn unexplained(report: &Report) -> String {
-    let Some(it) = &report.unexplained else { return String::new() };
-    match &it.covariate {
+    let Some(departure) = &report.unexplained else { return String::new() };
+    match &departure.covariate {
         None => "Something that nobody recorded moves the angle of repose over the sessions; nothing that was recorded explains it."
             .to_owned(),
         Some(covariate) => {
@@ -161,18 +163,18 @@ fn unexplained(report: &Report) -> String {
             format!(
                 "The angle of repose depends on {}{size}, which no cause of the catalogue explains; its law: {}.",
                 quantity(covariate).0,
-                it.law
+                departure.law
             )
         }
     }
 }
 
 fn gain(gain: &Gain) -> String {
-    let it = &gain.held_out;
+    let errors = &gain.held_out;
     let verdict = if gain.accepted { "" } else { ", which is not enough to accept it" };
     format!(
         "On days left out the extension changes the error from {:.2}° to {:.2}° [gain {:.2} to {:.2}]{verdict}.",
-        it.rmse_before, it.rmse_after, it.ci95[0], it.ci95[1]
+        errors.rmse_before, errors.rmse_after, errors.ci95[0], errors.ci95[1]
     )
 }
 
@@ -194,10 +196,10 @@ pub(crate) fn beside(
     ambiguous_between: &[String],
     p_value: f64,
 ) -> String {
-    let finding = claim.told.iter().find_map(|it| it.finding.as_ref());
+    let finding = claim.told.iter().find_map(|told| told.finding.as_ref());
     let size = finding.and_then(size).map_or(String::new(), |size| format!(": {size}"));
     let with = finding
-        .and_then(|it| it.covariate.as_deref())
+        .and_then(|finding| finding.covariate.as_deref())
         .map_or("something".to_owned(), |name| quantity(name).0);
     match (measured, claim.verdict) {
         (Quantity::Scatter, Verdict::NoDiscrepancy) => String::new(),
@@ -217,7 +219,8 @@ pub(crate) fn beside(
             claim.passing.as_ref().map_or(String::new(), passing_by)
         ),
         (_, Verdict::Cause | Verdict::Hint) => {
-            let told = claim.told.iter().filter_map(|it| flows(it, claim.verdict, &probability));
+            let told =
+                claim.told.iter().filter_map(|told| flows(told, claim.verdict, &probability));
             let told = told.collect::<Vec<_>>().join("; and ");
             match claim.verdict {
                 Verdict::Cause => format!("{told}."),
@@ -226,7 +229,7 @@ pub(crate) fn beside(
         }
         (_, Verdict::Ambiguous) => {
             let names: Vec<String> =
-                ambiguous_between.iter().map(|it| names::lower(&names::cause(it))).collect();
+                ambiguous_between.iter().map(|cause| names::lower(&names::cause(cause))).collect();
             format!(
                 "Something changes how long powders take to flow out{size}, and their flow times cannot tell which of {} it is.",
                 names.join(" or ")
@@ -272,7 +275,7 @@ fn is_of_levels(mechanism: &str) -> bool {
 
 /// Which columns were left out; nothing if none were.
 pub(crate) fn left_out(columns: &[ColumnLeftOut]) -> String {
-    let names: Vec<String> = columns.iter().map(|it| quantity(&it.column).0).collect();
+    let names: Vec<String> = columns.iter().map(|column| quantity(&column.column).0).collect();
     match names.as_slice() {
         [] => String::new(),
         [one] => {

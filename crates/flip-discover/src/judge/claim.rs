@@ -57,7 +57,7 @@ impl Claim {
         let has_effect = told.iter().any(Told::is_known_and_told);
         let verdict = verdict(proposal, has_effect, is_accepted);
         let passing = match verdict {
-            Verdict::NoDiscrepancy => told.drain(..).find_map(|it| it.finding),
+            Verdict::NoDiscrepancy => told.drain(..).find_map(|told| told.finding),
             _ => None,
         };
         if verdict == Verdict::Cause {
@@ -70,18 +70,18 @@ impl Claim {
 
     /// The effects of the reported causes.
     pub fn findings(&self) -> Vec<Finding> {
-        self.told.iter().filter_map(|it| it.finding.clone()).collect()
+        self.told.iter().filter_map(|told| told.finding.clone()).collect()
     }
 
     /// The reported effect of a cause.
     pub fn finding(&self, cause: &Cause) -> Option<&Finding> {
-        self.told.iter().find(|it| it.cause == *cause)?.finding.as_ref()
+        self.told.iter().find(|told| told.cause == *cause)?.finding.as_ref()
     }
 }
 
 impl Told {
     fn is_told(&self) -> bool {
-        self.finding.as_ref().is_some_and(|it| is_told(it.ci95, &it.unit))
+        self.finding.as_ref().is_some_and(|finding| is_told(finding.ci95, &finding.unit))
     }
 
     fn is_known_and_told(&self) -> bool {

@@ -195,7 +195,10 @@ fn as_components(
     let of_day = |day: usize| runs_in.range((day, 0)..(day + 1, 0));
     let (cells_on, runs_on): (Vec<f64>, Vec<f64>) = (0..days.len())
         .map(|row| {
-            (of_day(cell(row).0).count() as f64, of_day(cell(row).0).map(|it| it.1).sum::<f64>())
+            (
+                of_day(cell(row).0).count() as f64,
+                of_day(cell(row).0).map(|runs| runs.1).sum::<f64>(),
+            )
         })
         .unzip();
     let unbiased = |n: f64| if n > 1.0 { (n / (n - 1.0)).sqrt() } else { 1.0 };
@@ -208,11 +211,11 @@ fn as_components(
     // them.
     let noise_of_cells = mean(&|row| repeats[row].powi(2) / n(row));
     let share_of_cells = share(noise_of_cells, mean(&|row| cells[row].powi(2)));
-    let cells: Vec<f64> = cells.iter().map(|it| it * share_of_cells).collect();
+    let cells: Vec<f64> = cells.iter().map(|cell| cell * share_of_cells).collect();
     let noise_of_days =
         mean(&|row| (cells[row].powi(2) * n(row) + repeats[row].powi(2)) / runs_on[row]);
     let share_of_days = share(noise_of_days, mean(&|row| days[row].powi(2)));
-    [days.iter().map(|it| it * share_of_days).collect(), cells, repeats]
+    [days.iter().map(|day| day * share_of_days).collect(), cells, repeats]
 }
 
 /// Campaigns of the same design: this one with signs redrawn for each day, for each day's departure

@@ -83,7 +83,7 @@ impl<'a> Posterior<'a> {
         });
         let mut components: Vec<Component> = none.collect();
         let hypotheses = &prepared.hypotheses;
-        let total: f64 = hypotheses.iter().map(|it| it.prior).sum();
+        let total: f64 = hypotheses.iter().map(|hypothesis| hypothesis.prior).sum();
         let alone: Vec<Vec<Component>> = (0..hypotheses.len())
             .into_par_iter()
             .map(|h| {
@@ -98,14 +98,21 @@ impl<'a> Posterior<'a> {
         let together = pairs(prepared, &y, &alone);
         components.extend(alone.into_iter().flatten());
         components.extend(together);
-        let heaviest = components.iter().map(|it| it.log_weight).fold(f64::NEG_INFINITY, f64::max);
-        components.iter_mut().for_each(|it| it.log_weight -= heaviest);
+        let heaviest = components
+            .iter()
+            .map(|component| component.log_weight)
+            .fold(f64::NEG_INFINITY, f64::max);
+        components.iter_mut().for_each(|component| component.log_weight -= heaviest);
         let sum = |of: &dyn Fn(&Component) -> bool| -> f64 {
-            components.iter().filter(|it| of(it)).map(|it| it.log_weight.exp()).sum()
+            components
+                .iter()
+                .filter(|component| of(component))
+                .map(|component| component.log_weight.exp())
+                .sum()
         };
-        let any = sum(&|it| !it.parts.is_empty()).max(f64::MIN_POSITIVE);
+        let any = sum(&|component| !component.parts.is_empty()).max(f64::MIN_POSITIVE);
         let inclusion = (0..hypotheses.len())
-            .map(|h| sum(&|it| it.parts.iter().any(|part| part.0 == h)) / any)
+            .map(|h| sum(&|component| component.parts.iter().any(|part| part.0 == h)) / any)
             .collect();
         Self { prepared, components, inclusion }
     }
@@ -114,10 +121,10 @@ impl<'a> Posterior<'a> {
     /// work; NaN for a powder without any angle.
     pub fn predict(&self, campaign: &Campaign) -> Vec<[Predicted; 2]> {
         let rows = campaign.runs.len();
-        let before = self.solved(|it| it.parts.is_empty());
+        let before = self.solved(|component| component.parts.is_empty());
         let after = self.solved(|_| true);
         let moments = |solved: &[Solved], row: usize| {
-            let run = solved.iter().map(|it| it.row(row));
+            let run = solved.iter().map(|component| component.row(row));
             Mixture(run.collect()).moments()
         };
         let known: Vec<bool> = (0..campaign.powders.len())
@@ -142,33 +149,42 @@ impl<'a> Posterior<'a> {
     pub fn shifts(&self) -> Vec<f64> {
         let solved = self.solved(|_| true);
         (0..self.prepared.powder.len())
-            .map(|row| solved.iter().map(|it| it.weight * it.shift(row)).sum::<f64>())
+            .map(|row| {
+                solved.iter().map(|component| component.weight * component.shift(row)).sum::<f64>()
+            })
             .collect()
     }
 
     /// Contribution of a cause to each run where it is at work, without noise and powders' means.
     pub fn shifts_by(&self, cause: &Cause) -> Vec<f64> {
-        let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause);
-        let solved = self.solved(|it| it.parts.iter().any(|part| Some(part.0) == h));
-        let row = |row: usize| solved.iter().map(|it| it.weight * it.shift(row)).sum::<f64>();
+        let h = self.prepared.hypotheses.iter().position(|hypothesis| hypothesis.cause == *cause);
+        let solved = self.solved(|component| component.parts.iter().any(|part| Some(part.0) == h));
+        let row = |row: usize| {
+            solved.iter().map(|component| component.weight * component.shift(row)).sum::<f64>()
+        };
         (0..self.prepared.powder.len()).map(row).collect()
     }
 
     /// Probability that a cause is at work, if anything is.
     pub fn inclusion_of(&self, cause: &Cause) -> f64 {
-        let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause);
+        let h = self.prepared.hypotheses.iter().position(|hypothesis| hypothesis.cause == *cause);
         h.map_or(0.0, |h| self.inclusion[h])
     }
 
     /// The most probable law of a cause.
     pub fn law(&self, cause: &Cause) -> Option<&'a str> {
         let f = self.best_feature(cause)?;
-        self.prepared.hypotheses.iter().find(|it| it.cause == *cause).map(|it| it.laws[f].as_str())
+        self.prepared
+            .hypotheses
+            .iter()
+            .find(|hypothesis| hypothesis.cause == *cause)
+            .map(|hypothesis| hypothesis.laws[f].as_str())
     }
 
     /// The feature of a cause that holds most of its probability.
     pub fn best_feature(&self, cause: &Cause) -> Option<usize> {
-        let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause)?;
+        let h =
+            self.prepared.hypotheses.iter().position(|hypothesis| hypothesis.cause == *cause)?;
         let mut weights = vec![0.0; self.prepared.hypotheses[h].features.len()];
         for component in &self.components {
             for part in component.parts.iter().filter(|part| part.0 == h) {
@@ -181,23 +197,29 @@ impl<'a> Posterior<'a> {
     /// How far a cause moves the angle from one run to another, averaged over pairs of runs; `None`
     /// where no component has it.
     pub fn effect(&self, cause: &Cause, pairs: &[(usize, usize)]) -> Option<Mixture> {
-        let h = self.prepared.hypotheses.iter().position(|it| it.cause == *cause)?;
-        let solved = self.solved(|it| it.parts.iter().any(|part| part.0 == h));
+        let h =
+            self.prepared.hypotheses.iter().position(|hypothesis| hypothesis.cause == *cause)?;
+        let solved = self.solved(|component| component.parts.iter().any(|part| part.0 == h));
         (!solved.is_empty())
-            .then(|| Mixture(solved.iter().map(|it| it.contrast(h, pairs)).collect()))
+            .then(|| Mixture(solved.iter().map(|component| component.contrast(h, pairs)).collect()))
     }
 
     /// The heaviest of the selected components, with their coefficients; weights sum to 1.
     fn solved(&self, which: impl Fn(&Component) -> bool) -> Vec<Solved<'a>> {
-        let mut chosen: Vec<&Component> = self.components.iter().filter(|it| which(it)).collect();
+        let mut chosen: Vec<&Component> =
+            self.components.iter().filter(|component| which(component)).collect();
         chosen.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
         chosen.truncate(COMPONENTS);
-        let Some(heaviest) = chosen.first().map(|it| it.log_weight) else { return Vec::new() };
-        chosen.retain(|it| it.log_weight - heaviest > WEIGHT_MIN.ln());
-        let total: f64 = chosen.iter().map(|it| (it.log_weight - heaviest).exp()).sum();
+        let Some(heaviest) = chosen.first().map(|component| component.log_weight) else {
+            return Vec::new();
+        };
+        chosen.retain(|component| component.log_weight - heaviest > WEIGHT_MIN.ln());
+        let total: f64 =
+            chosen.iter().map(|component| (component.log_weight - heaviest).exp()).sum();
         let prepared = self.prepared;
-        let solve =
-            |it: &&Component| Solved::new(prepared, it, (it.log_weight - heaviest).exp() / total);
+        let solve = |component: &&Component| {
+            Solved::new(prepared, component, (component.log_weight - heaviest).exp() / total)
+        };
         chosen.par_iter().filter_map(solve).collect()
     }
 }
@@ -238,7 +260,7 @@ fn join(prepared: &Prepared, parts: &[(usize, usize)]) -> DMatrix<f64> {
     let of: Vec<&DMatrix<f64>> =
         parts.iter().map(|&(h, f)| &prepared.hypotheses[h].features[f]).collect();
     let columns: Vec<DVector<f64>> =
-        of.iter().flat_map(|it| it.column_iter().map(|c| c.into_owned())).collect();
+        of.iter().flat_map(|features| features.column_iter().map(|c| c.into_owned())).collect();
     if columns.is_empty() {
         DMatrix::zeros(prepared.powder.len(), 0)
     } else {
@@ -247,18 +269,25 @@ fn join(prepared: &Prepared, parts: &[(usize, usize)]) -> DMatrix<f64> {
 }
 
 fn weight(components: &[Component], heaviest: f64) -> f64 {
-    components.iter().map(|it| (it.log_weight - heaviest).exp()).sum()
+    components.iter().map(|component| (component.log_weight - heaviest).exp()).sum()
 }
 
 /// The best causes, each paired with every other.
 fn pairs(prepared: &Prepared, y: &DMatrix<f64>, alone: &[Vec<Component>]) -> Vec<Component> {
     let hypotheses = &prepared.hypotheses;
-    let heaviest = alone.iter().flatten().map(|it| it.log_weight).fold(f64::NEG_INFINITY, f64::max);
+    let heaviest = alone
+        .iter()
+        .flatten()
+        .map(|component| component.log_weight)
+        .fold(f64::NEG_INFINITY, f64::max);
     let weights: Vec<f64> = alone.iter().map(|of| weight(of, heaviest)).collect();
     let mut order: Vec<usize> = (0..hypotheses.len()).collect();
     order.sort_by(|&a, &b| weights[b].total_cmp(&weights[a]));
     let mut of_noise = vec![0.0; prepared.noises.len()];
-    alone.iter().flatten().for_each(|it| of_noise[it.noise] += (it.log_weight - heaviest).exp());
+    alone
+        .iter()
+        .flatten()
+        .for_each(|component| of_noise[component.noise] += (component.log_weight - heaviest).exp());
     let mut noises: Vec<usize> = (0..of_noise.len()).collect();
     noises.sort_by(|&a, &b| of_noise[b].total_cmp(&of_noise[a]));
     noises.truncate(NOISES);
@@ -267,8 +296,8 @@ fn pairs(prepared: &Prepared, y: &DMatrix<f64>, alone: &[Vec<Component>]) -> Vec
             let of = |f: usize| -> f64 {
                 alone[h]
                     .iter()
-                    .filter(|it| it.parts[0].1 == f)
-                    .map(|it| (it.log_weight - heaviest).exp())
+                    .filter(|component| component.parts[0].1 == f)
+                    .map(|component| (component.log_weight - heaviest).exp())
                     .sum()
             };
             let mut features: Vec<usize> = (0..hypotheses[h].features.len()).collect();
@@ -432,21 +461,22 @@ impl<'a> Solved<'a> {
 impl Mixture {
     /// Mean and SD.
     pub fn moments(&self) -> (f64, f64) {
-        let mean: f64 = self.0.iter().map(|it| it.weight * it.location).sum();
-        let second = |it: &Student| {
-            let spread = it.scale.powi(2) * it.freedom / (it.freedom - 2.0).max(0.5);
-            it.weight * (spread + (it.location - mean).powi(2))
+        let mean: f64 = self.0.iter().map(|student| student.weight * student.location).sum();
+        let second = |student: &Student| {
+            let spread = student.scale.powi(2) * student.freedom / (student.freedom - 2.0).max(0.5);
+            student.weight * (spread + (student.location - mean).powi(2))
         };
         (mean, self.0.iter().map(second).sum::<f64>().sqrt())
     }
 
     /// Probability of a smaller value.
     pub fn below(&self, value: f64) -> f64 {
-        let of = |it: &Student| match it.scale > 0.0 {
-            true => StudentsT::new(it.location, it.scale, it.freedom).map_or(0.5, |t| t.cdf(value)),
-            false => f64::from(u8::from(value >= it.location)),
+        let of = |student: &Student| match student.scale > 0.0 {
+            true => StudentsT::new(student.location, student.scale, student.freedom)
+                .map_or(0.5, |t| t.cdf(value)),
+            false => f64::from(u8::from(value >= student.location)),
         };
-        self.0.iter().map(|it| it.weight * of(it)).sum()
+        self.0.iter().map(|student| student.weight * of(student)).sum()
     }
 
     /// The equal-tailed interval that holds this probability.

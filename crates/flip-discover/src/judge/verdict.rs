@@ -18,48 +18,19 @@ pub(crate) struct Judgement {
 
 impl Judgement {
     pub(crate) fn of(prepared: &Prepared, posterior: &Posterior<'_>, p_value: f64) -> Self {
-        let mut ranked: Vec<(Cause, f64)> = prepared
-            .hypotheses
-            .iter()
-            .map(|it| it.cause.clone())
-            .zip(posterior.inclusion.iter().copied())
-            .collect();
+        let causes = prepared.hypotheses.iter().map(|hypothesis| hypothesis.cause.clone());
+        let mut ranked: Vec<(Cause, f64)> =
+            causes.zip(posterior.inclusion.iter().copied()).collect();
         ranked.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let claimed: Vec<Cause> =
-            ranked.iter().filter(|it| it.1 >= CLAIM).map(|it| it.0.clone()).collect();
-        let top = ranked.first().map(|it| it.0.clone());
-        let has_look_alike = |cause: &Cause| {
-            let probability = ranked.iter().find(|it| it.0 == *cause).map_or(0.0, |it| it.1);
-            probability < CERTAIN && look_alike(prepared, posterior, cause).is_some()
-        };
-        let proposal = match &top {
-            _ if p_value > SIGNIFICANCE => Proposal::Nothing,
-            Some(Cause::Known(_)) if !claimed.is_empty() && !claimed.iter().any(has_look_alike) => {
-                Proposal::Cause
-            }
-            Some(Cause::Unknown(_) | Cause::Unrecorded) if !claimed.is_empty() => {
-                Proposal::Unexplained
-            }
-            _ => Proposal::Ambiguous,
+        let alike = |cause: &Cause| look_alike(prepared, posterior, cause);
+        let proposal = match p_value > SIGNIFICANCE {
+            true => Proposal::Nothing,
+            false => proposal(&ranked, |cause| alike(cause).is_some()),
         };
         let told = match proposal {
             Proposal::Nothing => Vec::new(),
-            Proposal::Cause | Proposal::Unexplained => claimed,
-            Proposal::Ambiguous => {
-                let mut told: Vec<Cause> = ranked
-                    .iter()
-                    .take_while(|it| it.1 >= WORTH_TELLING)
-                    .map(|it| it.0.clone())
-                    .collect();
-                if told.len() < 2 {
-                    let first =
-                        top.iter().filter_map(|cause| look_alike(prepared, posterior, cause));
-                    let next = ranked.get(1).map(|it| it.0.clone());
-                    told = top.iter().cloned().chain(first.chain(next).next()).collect();
-                }
-                told.truncate(3);
-                told
-            }
+            Proposal::Cause | Proposal::Unexplained => at_least(&ranked, CLAIM),
+            Proposal::Ambiguous => candidates(&ranked, alike),
         };
         Self { proposal, told, ranked }
     }
@@ -92,12 +63,47 @@ impl Judgement {
             let next = self
                 .ranked
                 .iter()
-                .map(|it| &it.0)
-                .find(|it| !causes.contains(it) && !it.covariates().is_empty());
+                .map(|(cause, _)| cause)
+                .find(|cause| !causes.contains(cause) && !cause.covariates().is_empty());
             causes.extend(next);
         }
         (causes.len() > 1).then_some(causes)
     }
+}
+
+/// The causes of at least this probability, most probable first.
+fn at_least(ranked: &[(Cause, f64)], probability: f64) -> Vec<Cause> {
+    let probable = ranked.iter().take_while(|(_, inclusion)| *inclusion >= probability);
+    probable.map(|(cause, _)| cause.clone()).collect()
+}
+
+/// What the evidence proposes where something is wrong: a cause is claimed if it is probable, and
+/// nearly certain where another looks like it.
+fn proposal(ranked: &[(Cause, f64)], has_look_alike: impl Fn(&Cause) -> bool) -> Proposal {
+    let claimed: Vec<&(Cause, f64)> =
+        ranked.iter().filter(|(_, inclusion)| *inclusion >= CLAIM).collect();
+    let is_doubtful =
+        |(cause, inclusion): &&(Cause, f64)| *inclusion < CERTAIN && has_look_alike(cause);
+    match ranked.first() {
+        _ if claimed.is_empty() => Proposal::Ambiguous,
+        Some((Cause::Known(_), _)) if claimed.iter().any(is_doubtful) => Proposal::Ambiguous,
+        Some((Cause::Known(_), _)) => Proposal::Cause,
+        _ => Proposal::Unexplained,
+    }
+}
+
+/// Up to three causes that cannot be told apart: the probable ones, or the first and one that looks
+/// like it, else the next.
+fn candidates(ranked: &[(Cause, f64)], look_alike: impl Fn(&Cause) -> Option<Cause>) -> Vec<Cause> {
+    let mut told = at_least(ranked, WORTH_TELLING);
+    if told.len() < 2 {
+        let top = ranked.first().map(|(cause, _)| cause.clone());
+        let other = top.as_ref().and_then(look_alike);
+        let other = other.or_else(|| ranked.get(1).map(|(cause, _)| cause.clone()));
+        told = top.into_iter().chain(other).collect();
+    }
+    told.truncate(3);
+    told
 }
 
 /// Another catalogued cause that this design can hardly distinguish from this one: it acts through
@@ -105,18 +111,17 @@ impl Judgement {
 fn look_alike(prepared: &Prepared, posterior: &Posterior<'_>, cause: &Cause) -> Option<Cause> {
     let common = |cause: &Cause| {
         let f = posterior.best_feature(cause)?;
-        let hypothesis = prepared.hypotheses.iter().find(|it| it.cause == *cause)?;
+        let hypothesis = prepared.hypotheses.iter().find(|other| other.cause == *cause)?;
         let column = hypothesis.features[f].column(0);
         Some(prepared.measured.iter().map(|&i| column[i]).collect::<Vec<f64>>())
     };
     let own = common(cause)?;
-    let others = prepared
-        .hypotheses
-        .iter()
-        .filter(|it| matches!(it.cause, Cause::Known(_)) && shares_none(&it.cause, cause));
-    let alike = others
-        .filter_map(|it| Some((it.cause.clone(), correlation(&own, &common(&it.cause)?).abs())));
-    alike.filter(|it| it.1 >= LOOK_ALIKE).max_by(|a, b| a.1.total_cmp(&b.1)).map(|it| it.0)
+    let others = prepared.hypotheses.iter().map(|hypothesis| &hypothesis.cause);
+    let others =
+        others.filter(|other| matches!(other, Cause::Known(_)) && shares_none(other, cause));
+    let alike = others.filter_map(|other| Some((other, correlation(&own, &common(other)?).abs())));
+    let alike = alike.filter(|(_, correlation)| *correlation >= LOOK_ALIKE);
+    alike.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(other, _)| other.clone())
 }
 
 fn shares_none(one: &Cause, other: &Cause) -> bool {
@@ -131,4 +136,38 @@ pub(crate) fn correlation(a: &[f64], b: &[f64]) -> f64 {
     };
     let scale = (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt();
     if scale > 0.0 { sum(&|x, y| x * y) / scale } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Mechanism::{Humidity, Operator, RestTime};
+
+    fn known(mechanism: crate::Mechanism) -> Cause {
+        Cause::Known(mechanism)
+    }
+
+    #[test]
+    fn a_cause_is_claimed_if_probable_and_if_certain_where_another_looks_like_it() {
+        let ranked = |first: f64| [(known(Humidity), first), (known(Operator), 0.05)];
+        let alike = |probability: f64| proposal(&ranked(probability), |_| true);
+        let alone = |probability: f64| proposal(&ranked(probability), |_| false);
+        assert_eq!([alone(0.79), alone(0.8)], [Proposal::Ambiguous, Proposal::Cause]);
+        assert_eq!([alike(0.94), alike(0.95)], [Proposal::Ambiguous, Proposal::Cause]);
+        let unknown = [(Cause::Unknown("supply_v".to_owned()), 0.9), (known(Humidity), 0.1)];
+        assert_eq!(proposal(&unknown, |_| true), Proposal::Unexplained);
+    }
+
+    #[test]
+    fn what_cannot_be_told_apart_are_two_or_three() {
+        let ranked =
+            [Humidity, RestTime, Operator].map(known).into_iter().zip([0.5, 0.05, 0.05]).collect();
+        let ranked: Vec<(Cause, f64)> = ranked;
+        let like = |other: Option<crate::Mechanism>| candidates(&ranked, move |_| other.map(known));
+        assert_eq!(like(Some(Operator)), [known(Humidity), known(Operator)]);
+        assert_eq!(like(None), [known(Humidity), known(RestTime)]);
+        let close: Vec<(Cause, f64)> =
+            ranked.iter().map(|(cause, _)| (cause.clone(), 0.2)).collect();
+        assert_eq!(candidates(&close, |_| None).len(), 3);
+    }
 }

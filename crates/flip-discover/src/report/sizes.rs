@@ -58,7 +58,7 @@ pub(crate) fn any_size(finding: &Finding) -> String {
 pub(crate) fn moved(finding: &Finding, verbs: &Verbs) -> String {
     let told = told(finding);
     let of = |sign: f64| -> Vec<&PowderEffect> {
-        told.iter().copied().filter(|it| sign * it.effect > 0.0).collect()
+        told.iter().copied().filter(|on| sign * on.effect > 0.0).collect()
     };
     let (up, down) = (of(1.0), of(-1.0));
     let who = |which: &[&PowderEffect]| who(which, told.len(), finding.by_powder.len());
@@ -82,19 +82,19 @@ pub(crate) fn whom(finding: &Finding) -> String {
 /// Each named powder's effect, or the average and the powders moved least and most.
 pub(crate) fn sizes(finding: &Finding) -> String {
     let told = told(finding);
-    let of = |it: &PowderEffect| sized(it.effect, it.ci95, &finding.unit);
+    let of = |on: &PowderEffect| sized(on.effect, on.ci95, &finding.unit);
     let span = &finding.span;
     if told.is_empty() {
         return any_size(finding);
     }
     if told.len() <= NAMED_MAX {
         let each: Vec<String> =
-            told.iter().map(|it| format!("{} {}", words(&it.powder), of(it))).collect();
+            told.iter().map(|on| format!("{} {}", words(&on.powder), of(on))).collect();
         return format!("{} {span}", each.join(", "));
     }
     let by = |a: &&&PowderEffect, b: &&&PowderEffect| a.effect.total_cmp(&b.effect);
     let ends = told.iter().min_by(by).into_iter().chain(told.iter().max_by(by));
-    let ends: Vec<String> = ends.map(|it| format!("{} {}", words(&it.powder), of(it))).collect();
+    let ends: Vec<String> = ends.map(|on| format!("{} {}", words(&on.powder), of(on))).collect();
     match finding.powder {
         None => format!("{} (from {})", any_size(finding), ends.join(" to ")),
         Some(_) => format!("from {} {span}", ends.join(" to ")),
@@ -103,7 +103,7 @@ pub(crate) fn sizes(finding: &Finding) -> String {
 
 /// Powders whose own effect is distinguishable from zero.
 fn told(finding: &Finding) -> Vec<&PowderEffect> {
-    finding.by_powder.iter().filter(|it| is_told(it.ci95, &finding.unit)).collect()
+    finding.by_powder.iter().filter(|on| is_told(on.ci95, &finding.unit)).collect()
 }
 
 /// `told`: number of powders with an effect distinguishable from zero, out of `of`.
@@ -114,7 +114,7 @@ fn who(which: &[&PowderEffect], told: usize, of: usize) -> String {
         some if told > NAMED_MAX => format!("{} of {of} powders", some.len()),
         [one] => words(&one.powder),
         [first @ .., last] => {
-            let first: Vec<String> = first.iter().map(|it| words(&it.powder)).collect();
+            let first: Vec<String> = first.iter().map(|on| words(&on.powder)).collect();
             format!("{} and {}", first.join(", "), words(&last.powder))
         }
     }

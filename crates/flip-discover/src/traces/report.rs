@@ -31,8 +31,10 @@ pub(crate) struct TraceReport {
 /// The result of a screening; `corrected` is its p-value, given what else is judged.
 pub(crate) fn report(traces: &Traces, screening: &TraceScreening, corrected: f64) -> TraceReport {
     let (proposal, told) = judge(screening, corrected);
-    let has_effect =
-        told.first().and_then(|it| it.effect.as_ref()).is_some_and(|it| is_told(it.ci95, it.unit));
+    let has_effect = told
+        .first()
+        .and_then(|judged| judged.effect.as_ref())
+        .is_some_and(|judged| is_told(judged.ci95, judged.unit));
     let verdict = claim::verdict(proposal, has_effect, true);
     let is_control = |kind: Kind| kind != Kind::Dose;
     let controls = traces.weighings.iter().filter(|weighing| is_control(weighing.kind)).count();
@@ -49,7 +51,7 @@ pub(crate) fn report(traces: &Traces, screening: &TraceScreening, corrected: f64
         shakes: screening.looked_at[1],
         null_check: NullCheck::of(&screening.null, screening.statistic),
         suggested_experiment: experiment,
-        unjudged: screening.unjudged.as_ref().map(|it| it.why.clone()),
+        unjudged: screening.unjudged.as_ref().map(|unjudged| unjudged.why.clone()),
     };
     TraceReport {
         sentence: words::sentence(&told, &channel),
@@ -94,12 +96,13 @@ fn judge(screening: &TraceScreening, corrected: f64) -> (Proposal, Vec<&TraceJud
     };
     let wander = judged
         .iter()
-        .find(|it| it.mechanism == TraceCause::Unknown)
-        .map_or(0.0, |it| it.log_evidence);
-    let over = |it: &TraceJudged| it.log_evidence - wander.max(0.0);
-    let is_close = |it: &&TraceJudged| {
-        let is_behind = over(it) <= (1.0 - LEAD_MIN) * over(top) && it.probability <= 1.0 - CERTAIN;
-        it.acts_like(top) && !is_behind
+        .find(|other| other.mechanism == TraceCause::Unknown)
+        .map_or(0.0, |other| other.log_evidence);
+    let over = |one: &TraceJudged| one.log_evidence - wander.max(0.0);
+    let is_close = |one: &&TraceJudged| {
+        let is_behind =
+            over(one) <= (1.0 - LEAD_MIN) * over(top) && one.probability <= 1.0 - CERTAIN;
+        one.acts_like(top) && !is_behind
     };
     let look_alike = judged[1..].iter().find(is_close);
     if top.probability >= CLAIM && look_alike.is_none() {
@@ -111,7 +114,7 @@ fn judge(screening: &TraceScreening, corrected: f64) -> (Proposal, Vec<&TraceJud
         return (proposal, vec![top]);
     }
     let mut told: Vec<&TraceJudged> =
-        judged.iter().take_while(|it| it.probability >= WORTH_TELLING).collect();
+        judged.iter().take_while(|one| one.probability >= WORTH_TELLING).collect();
     if told.len() < 2 {
         told = vec![top];
         told.extend(look_alike.or(judged.get(1)));

@@ -167,7 +167,7 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
     let all: Vec<&Seen> = std::iter::once(&measured).chain(&simulated).collect();
     let shake_scatter =
         plan.masses.map(|_| shakes::scatter(&measured.0[Level::Shakes as usize], &shake_noises));
-    let shake_noises: Vec<Noise> = shake_noises.into_iter().map(|it| it.noise).collect();
+    let shake_noises: Vec<Noise> = shake_noises.into_iter().map(|shakes| shakes.noise).collect();
     let mut levels = [
         plan.judge(Level::Readings, &reading_noises, &all),
         plan.judge(Level::Shakes, &shake_noises, &all),
@@ -192,7 +192,8 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
             let why = unjudged.as_ref().filter(|_| mechanism.level() == Level::Shakes);
             untestable.push((
                 *mechanism,
-                why.map_or("has no range in which it could act", |it| it.why.as_str()).to_owned(),
+                why.map_or("has no range in which it could act", |unjudged| unjudged.why.as_str())
+                    .to_owned(),
             ));
         }
     }
@@ -259,7 +260,7 @@ impl Plan<'_> {
             None => vec![(1.0, [SCATTERS[0], 0.0, 0.0])],
             Some(_) => {
                 let mass = column(measured, Level::Shakes);
-                let plain = shakes.iter().filter(|it| !it.noise.is_wander);
+                let plain = shakes.iter().filter(|shakes| !shakes.noise.is_wander);
                 let odds = plain.map(|ShakeNoise { noise, weighing, step, .. }| {
                     let squares = noise.model.apply(&mass).norm_squared();
                     (
@@ -407,15 +408,18 @@ impl Plan<'_> {
             .map(|((mechanism, logs), estimate)| (*mechanism, logs, estimate))
             .collect();
         let largest = |k: usize| {
-            causes.iter().map(|(it, logs, _)| logs[k] + prior(*it)).fold(wander(k), f64::max)
+            causes
+                .iter()
+                .map(|(mechanism, logs, _)| logs[k] + prior(*mechanism))
+                .fold(wander(k), f64::max)
         };
         let here = largest(0);
         let mut null: Vec<f64> = (1..count).map(largest).collect();
         null.sort_by(f64::total_cmp);
-        let as_large = null.iter().filter(|&&it| it >= here).count();
+        let as_large = null.iter().filter(|&&other| other >= here).count();
         let logs: Vec<f64> = causes
             .iter()
-            .map(|(it, logs, _)| logs[0] + prior(*it))
+            .map(|(mechanism, logs, _)| logs[0] + prior(*mechanism))
             .chain(std::iter::once(wander(0)))
             .collect();
         let total = log_mean_exp(&logs) + (logs.len() as f64).ln();

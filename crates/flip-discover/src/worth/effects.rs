@@ -44,7 +44,8 @@ fn finding(
     let mut best: Option<Finding> = None;
     for shares in [PERCENTILES, ENDS] {
         for span in spans(campaign, cause, shares) {
-            let rank = |it: &Finding| (is_told(it.ci95, &it.unit), it.effect.abs());
+            let rank =
+                |finding: &Finding| (is_told(finding.ci95, &finding.unit), finding.effect.abs());
             let finding = over(campaign, responses, cause, span)?;
             best = best
                 .into_iter()
@@ -53,7 +54,7 @@ fn finding(
         }
         // A step passed by few runs lies beyond the percentiles; names have none.
         let is_of_names = cause.covariates().iter().any(|name| levels(campaign, name).is_some());
-        if is_of_names || best.as_ref().is_none_or(|it| is_told(it.ci95, &it.unit)) {
+        if is_of_names || best.as_ref().is_none_or(|finding| is_told(finding.ci95, &finding.unit)) {
             break;
         }
     }
@@ -90,15 +91,15 @@ fn over(
     };
     let by_powder: Vec<PowderEffect> = powders.iter().enumerate().filter_map(on_powder).collect();
     let unit = campaign.quantity.unit();
-    let shows: Vec<&PowderEffect> = by_powder.iter().filter(|it| is_told(it.ci95, unit)).collect();
+    let shows: Vec<&PowderEffect> = by_powder.iter().filter(|on| is_told(on.ci95, unit)).collect();
     let (powder, (effect, ci95)) = match clearest(&shows).filter(|_| !is_told(average.1, unit)) {
-        Some(it) => (Some(it.powder.clone()), (it.effect, it.ci95)),
+        Some(on) => (Some(on.powder.clone()), (on.effect, on.ci95)),
         None => (None, average),
     };
     Ok(Some(Finding {
         channel: campaign.quantity.channel(),
         covariate: covariate_of(cause),
-        powders: shows.iter().map(|it| it.powder.clone()).collect(),
+        powders: shows.iter().map(|on| on.powder.clone()).collect(),
         effect,
         ci95,
         unit: unit.to_owned(),
@@ -111,7 +112,7 @@ fn over(
 /// The powder with the largest effect relative to the width of its interval.
 fn clearest<'a>(of: &[&'a PowderEffect]) -> Option<&'a PowderEffect> {
     let clear =
-        |it: &PowderEffect| it.effect.abs() / (it.ci95[1] - it.ci95[0]).max(f64::MIN_POSITIVE);
+        |on: &PowderEffect| on.effect.abs() / (on.ci95[1] - on.ci95[0]).max(f64::MIN_POSITIVE);
     of.iter().copied().max_by(|a, b| clear(a).total_cmp(&clear(b)))
 }
 
@@ -170,8 +171,9 @@ pub(crate) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
     let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0);
     let powders = campaign.powders.len();
     // Covariates with too many names to be judged have no course either.
-    let few =
-        |it: &&Covariate| levels(campaign, &it.name).is_none_or(|names| names.len() <= LEVELS_MAX);
+    let few = |covariate: &&Covariate| {
+        levels(campaign, &covariate.name).is_none_or(|names| names.len() <= LEVELS_MAX)
+    };
     let covariates: Vec<&Covariate> = campaign.covariates.iter().filter(few).collect();
     let places = |covariate: &str| -> Vec<f64> {
         match levels(campaign, covariate) {
@@ -213,8 +215,8 @@ pub(crate) fn curves(campaign: &Campaign, responses: &Responses) -> Result<Vec<C
         }
         // The course is of this covariate alone: the average contribution of the others is
         // subtracted.
-        let middle = course.iter().map(|it| it[1]).sum::<f64>() / course.len().max(1) as f64;
-        course.iter_mut().for_each(|it| it[1] -= middle);
+        let middle = course.iter().map(|place| place[1]).sum::<f64>() / course.len().max(1) as f64;
+        course.iter_mut().for_each(|place| place[1] -= middle);
         let at = match &covariate.values {
             Values::Numbers(values) => row_values(campaign, |i| values[i]),
             Values::Levels { of, .. } => row_values(campaign, |i| of[i].map(|level| level as f64)),

@@ -55,7 +55,8 @@ pub(crate) fn experiment(
     let powders = responding(campaign, &posterior);
     let mut ends: Vec<Ends> = Vec::new();
     for name in causes.iter().flat_map(|cause| cause.covariates()) {
-        if let (false, Some(of)) = (ends.iter().any(|it| it.0 == name), settings_of(campaign, name))
+        if let (false, Some(of)) =
+            (ends.iter().any(|end| end.0 == name), settings_of(campaign, name))
         {
             ends.push((name.to_owned(), of));
         }
@@ -99,14 +100,14 @@ pub(crate) fn experiment(
             if best.as_ref().is_none_or(|(best, _)| score > *best) {
                 let what = words(campaign, design, &ends, &powders, runs.len());
                 let runs = runs.iter().map(|run| written(campaign, run)).collect();
-                let it = Experiment {
+                let asked = Experiment {
                     what,
                     runs,
                     minutes,
                     chance_of_resolution: Some(chance),
                     expected_posterior: Some(expected),
                 };
-                best = Some((score, it));
+                best = Some((score, asked));
             }
         }
     }
@@ -189,8 +190,10 @@ fn settings_of(campaign: &Campaign, covariate: &str) -> Option<[Setting; 2]> {
         Values::Numbers(_) => {
             let [low, high] =
                 [percentile(campaign, covariate, 0.02)?, percentile(campaign, covariate, 0.98)?];
-            let beginning =
-                BEGINNINGS.iter().find(|it| it.0 == covariate).map_or(low, |it| it.1.min(low));
+            let beginning = BEGINNINGS
+                .iter()
+                .find(|time| time.0 == covariate)
+                .map_or(low, |time| time.1.min(low));
             Some([beginning, high].map(Setting::Number))
         }
     }
@@ -277,7 +280,8 @@ impl Game<'_> {
                 Some(new) => drawn[k][new],
             }
         });
-        let of = |cause: &&Cause| after.hypotheses.iter().find(|it| it.cause == **cause);
+        let of =
+            |cause: &&Cause| after.hypotheses.iter().find(|hypothesis| hypothesis.cause == **cause);
         let Some(judged) = self.causes.iter().map(of).collect::<Option<Vec<_>>>() else {
             return Ok([0.0, 0.5]);
         };
@@ -286,10 +290,13 @@ impl Game<'_> {
             judged.iter().map(|hypothesis| after.log_odds(hypothesis, &seen)).collect();
         let (mut resolved, mut expected, mut total) = (0.0, 0.0, 0.0);
         for play in 0..PLAYS {
-            let log: Vec<f64> =
-                odds.iter().zip(&judged).map(|(of, it)| of[play] + it.prior.ln()).collect();
+            let log: Vec<f64> = odds
+                .iter()
+                .zip(&judged)
+                .map(|(of, hypothesis)| of[play] + hypothesis.prior.ln())
+                .collect();
             let right = right_in(play);
-            let share = 1.0 / log.iter().map(|it| (it - log[right]).exp()).sum::<f64>();
+            let share = 1.0 / log.iter().map(|other| (other - log[right]).exp()).sum::<f64>();
             let weight = self.now[right];
             total += weight;
             expected += weight * share;
@@ -309,7 +316,7 @@ fn minutes(runs: &[Planned]) -> f64 {
     // Heaps rest side by side, so the longest rest counts.
     let rest = of("rest_min").map(number).fold(0.0, f64::max);
     let mut humidities: Vec<u64> =
-        of("relative_humidity_pct").map(|it| number(it).to_bits()).collect();
+        of("relative_humidity_pct").map(|setting| number(setting).to_bits()).collect();
     humidities.sort_unstable();
     humidities.dedup();
     let chamber = 30.0 * humidities.len().saturating_sub(1) as f64;
@@ -348,8 +355,8 @@ fn words(
             shown(campaign, name, ends[1])
         )
     };
-    let varied = design.iter().map(|it| at(it)).collect::<Vec<_>>().join(" by ");
-    let held = all.iter().filter(|it| !design.iter().any(|varied| varied.0 == it.0)).map(
+    let varied = design.iter().map(|ends| at(ends)).collect::<Vec<_>>().join(" by ");
+    let held = all.iter().filter(|ends| !design.iter().any(|varied| varied.0 == ends.0)).map(
         |(name, ends)| {
             let (quantity, unit) = quantity(name);
             format!("{quantity} at {}{unit}", shown(campaign, name, ends[0]))

@@ -75,21 +75,23 @@ struct Course {
 pub(crate) fn without(campaign: &Campaign) -> (Campaign, Vec<ColumnLeftOut>) {
     let rows = rows(campaign);
     let asked: Vec<&Covariate> =
-        campaign.covariates.iter().filter(|it| is_asked(&it.name)).collect();
+        campaign.covariates.iter().filter(|covariate| is_asked(&covariate.name)).collect();
     let mut left_out: Vec<ColumnLeftOut> =
-        asked.iter().filter_map(|it| follows(campaign, &rows, it)).collect();
+        asked.iter().filter_map(|covariate| follows(campaign, &rows, covariate)).collect();
     let is_out =
-        |left_out: &[ColumnLeftOut], name: &str| left_out.iter().any(|it| it.column == name);
-    let is_named = |it: &&&Covariate| {
-        words::is_of_heap(&it.name, campaign.quantity) && !is_out(&left_out, &it.name)
+        |left_out: &[ColumnLeftOut], name: &str| left_out.iter().any(|out| out.column == name);
+    let is_named = |covariate: &&&Covariate| {
+        words::is_of_heap(&covariate.name, campaign.quantity) && !is_out(&left_out, &covariate.name)
     };
-    let named =
-        asked.iter().filter(is_named).filter_map(|it| Some((it.name.as_str(), numbers(it)?)));
+    let named = asked
+        .iter()
+        .filter(is_named)
+        .filter_map(|covariate| Some((covariate.name.as_str(), numbers(covariate)?)));
     let may_be = |values: &[Option<f64>]| {
-        Course::of(&rows, values).is_none_or(|it| !it.is_blind_to_powders())
+        Course::of(&rows, values).is_none_or(|course| !course.is_blind_to_powders())
     };
     let others: Vec<(&str, Vec<Option<f64>>)> =
-        named.filter(|it| may_be(&it.1) && !is_setting(it.0, &it.1)).collect();
+        named.filter(|column| may_be(&column.1) && !is_setting(column.0, &column.1)).collect();
     // A column named like a derived one, and not set by hand, is another measurement of the same
     // heap.
     if !left_out.is_empty() || together(&rows, &others) {
@@ -99,9 +101,15 @@ pub(crate) fn without(campaign: &Campaign) -> (Campaign, Vec<ColumnLeftOut>) {
                 .to_owned(),
         }));
     }
-    left_out.sort_by_key(|out| campaign.covariates.iter().position(|it| it.name == out.column));
-    let kept =
-        campaign.covariates.iter().filter(|it| !is_out(&left_out, &it.name)).cloned().collect();
+    left_out.sort_by_key(|out| {
+        campaign.covariates.iter().position(|covariate| covariate.name == out.column)
+    });
+    let kept = campaign
+        .covariates
+        .iter()
+        .filter(|covariate| !is_out(&left_out, &covariate.name))
+        .cloned()
+        .collect();
     (Campaign { covariates: kept, ..campaign.clone() }, left_out)
 }
 
@@ -113,12 +121,14 @@ fn is_asked(name: &str) -> bool {
 fn rows(campaign: &Campaign) -> Vec<Row> {
     let mut of_row: Vec<(Row, Vec<f64>)> = Vec::new();
     for run in campaign.measured() {
-        let it = campaign.runs[run];
-        let angle = it.value.unwrap_or(f64::NAN);
-        match of_row.last_mut().filter(|(last, _)| campaign.runs[last.run].row == it.row) {
+        let of_run = campaign.runs[run];
+        let angle = of_run.value.unwrap_or(f64::NAN);
+        match of_row.last_mut().filter(|(last, _)| campaign.runs[last.run].row == of_run.row) {
             Some((_, angles)) => angles.push(angle),
-            None => of_row
-                .push((Row { powder: it.powder, session: it.session, angle, run }, vec![angle])),
+            None => of_row.push((
+                Row { powder: of_run.powder, session: of_run.session, angle, run },
+                vec![angle],
+            )),
         }
     }
     of_row
@@ -242,11 +252,12 @@ impl Course {
     /// angles. `None` where their angles are too much alike.
     fn between(&self) -> Option<[f64; 3]> {
         let powders = self.powders();
-        let rows: f64 = powders.iter().map(|it| it[0]).sum();
-        let middle = |k: usize| powders.iter().map(|it| it[0] * it[k]).sum::<f64>() / rows;
+        let rows: f64 = powders.iter().map(|powder| powder[0]).sum();
+        let middle =
+            |k: usize| powders.iter().map(|powder| powder[0] * powder[k]).sum::<f64>() / rows;
         let (x, y) = (middle(1), middle(2));
         let sum = |of: fn(f64, f64) -> f64| {
-            powders.iter().map(|it| it[0] * of(it[1] - x, it[2] - y)).sum::<f64>()
+            powders.iter().map(|powder| powder[0] * of(powder[1] - x, powder[2] - y)).sum::<f64>()
         };
         let sums = [sum(|x, _| x * x), sum(|x, y| x * y), sum(|_, y| y * y)];
         (powders.len() > 1 && (sums[2] / rows).sqrt() >= POWDERS_APART * self.sd()).then_some(sums)
@@ -254,7 +265,7 @@ impl Course {
 
     /// Whether powders' means lie on the line of the runs within them.
     fn is_of_powders(&self) -> bool {
-        let Some([xx, xy, yy]) = self.between().filter(|it| it[0] > 0.0) else { return false };
+        let Some([xx, xy, yy]) = self.between().filter(|sums| sums[0] > 0.0) else { return false };
         let (between, on_a_line) = (xy / yy, xy * xy / (xx * yy));
         let is_same = (SAME_SLOPE[0]..=SAME_SLOPE[1]).contains(&(between / self.slope()))
             && on_a_line >= ON_A_LINE;
@@ -272,7 +283,7 @@ impl Course {
     fn variance_of_means(&self) -> f64 {
         let variance = |of: fn(&Row) -> (usize, usize)| {
             let (departures, freedom) = departures(&self.rows, &self.values, of);
-            departures.iter().map(|it| it[0] * it[0]).sum::<f64>() / freedom.max(1) as f64
+            departures.iter().map(|pair| pair[0] * pair[0]).sum::<f64>() / freedom.max(1) as f64
         };
         let (of_powder, of_day) =
             (variance(|row| (row.powder, 0)), variance(|row| (row.powder, row.session)));
@@ -308,15 +319,15 @@ fn departures(
     };
     let mut departures: Vec<[f64; 2]> = rows.iter().zip(values).filter_map(own).collect();
     for k in 0..2 {
-        let mut sizes: Vec<f64> = departures.iter().map(|it| it[k].abs()).collect();
+        let mut sizes: Vec<f64> = departures.iter().map(|pair| pair[k].abs()).collect();
         sizes.sort_by(f64::total_cmp);
         // 1.4826: SD of a normal distribution over its median absolute deviation.
         let reach = OUTLIER_SD * 1.4826 * sizes.get(sizes.len() / 2).copied().unwrap_or(0.0);
         if reach > 0.0 {
-            departures.iter_mut().for_each(|it| it[k] = it[k].clamp(-reach, reach));
+            departures.iter_mut().for_each(|pair| pair[k] = pair[k].clamp(-reach, reach));
         }
     }
-    let groups = sums.values().filter(|it| it[0] > 1.0).count();
+    let groups = sums.values().filter(|sum| sum[0] > 1.0).count();
     let freedom = departures.len() - groups;
     (departures, freedom)
 }
@@ -365,32 +376,33 @@ fn are_classes(rows: &[Row], of: &[Option<usize>]) -> bool {
     let mut known: Vec<(f64, usize, usize)> =
         rows.iter().filter_map(|row| Some((row.angle, of[row.run]?, row.powder))).collect();
     known.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let count =
-        |which: &dyn Fn(&(f64, usize, usize)) -> bool| known.iter().filter(|it| which(it)).count();
-    let mut pairs: Vec<(usize, usize)> = known.iter().map(|it| (it.1, it.2)).collect();
+    let count = |which: &dyn Fn(&(f64, usize, usize)) -> bool| {
+        known.iter().filter(|row| which(row)).count()
+    };
+    let mut pairs: Vec<(usize, usize)> = known.iter().map(|row| (row.1, row.2)).collect();
     pairs.sort_unstable();
     pairs.dedup();
     let is_often =
-        |&(level, powder): &(usize, usize)| count(&|it| it.1 == level && it.2 == powder) >= 3;
+        |&(level, powder): &(usize, usize)| count(&|row| row.1 == level && row.2 == powder) >= 3;
     let often: Vec<(usize, usize)> = pairs.into_iter().filter(is_often).collect();
     let has_two = |k: fn(&(usize, usize)) -> usize| {
         often.iter().any(|one| often.iter().any(|other| one != other && k(one) == k(other)))
     };
-    if known.len() < ROWS_MIN || !has_two(|it| it.1) || !has_two(|it| it.0) {
+    if known.len() < ROWS_MIN || !has_two(|row| row.1) || !has_two(|row| row.0) {
         return false;
     }
     // Levels in the order of their medians; a row is misplaced if its position belongs to another
     // level.
     let mut levels: Vec<(usize, usize)> = Vec::new();
-    for level in known.iter().map(|it| it.1).collect::<BTreeSet<_>>() {
+    for level in known.iter().map(|row| row.1).collect::<BTreeSet<_>>() {
         let places: Vec<usize> = (0..known.len()).filter(|&k| known[k].1 == level).collect();
         levels.push((places[places.len() / 2], level));
     }
     levels.sort_unstable();
     let expected = levels
         .iter()
-        .flat_map(|&(_, level)| std::iter::repeat_n(level, count(&|it| it.1 == level)));
-    let misplaced = known.iter().zip(expected).filter(|(it, level)| it.1 != *level).count();
+        .flat_map(|&(_, level)| std::iter::repeat_n(level, count(&|row| row.1 == level)));
+    let misplaced = known.iter().zip(expected).filter(|(row, level)| row.1 != *level).count();
     misplaced as f64 <= MISPLACED * known.len() as f64
 }
 
