@@ -388,6 +388,29 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_file_that_is_gone_or_damaged_is_named_and_the_others_are_copied() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let store = Store::open(&path("data")).await.unwrap();
+        let blobs = ["whole", "damaged", "gone"].map(|text| {
+            let sha256 = store.artifacts().put(text.as_bytes()).unwrap();
+            (path("data").join("blobs").join(&sha256[..2]).join(&sha256), sha256)
+        });
+        let insert = "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at, checkpoint) \
+                      VALUES (?1, 'training', '{}', randomblob(32), 'queued', 0, ?1)";
+        let writer = store.writer().unwrap();
+        for (_, sha256) in &blobs {
+            sqlx::query(insert).bind(sha256).execute(writer).await.unwrap();
+        }
+        fs::write(&blobs[1].0, b"otherwise").unwrap();
+        fs::remove_file(&blobs[2].0).unwrap();
+        let mut made = copy(&path("data"), &path("kept")).await.unwrap();
+        let mut lost = vec![blobs[1].1.clone(), blobs[2].1.clone()];
+        (made.lost.sort(), lost.sort());
+        assert_eq!((made.files, made.lost), (1, lost));
+    }
+
+    #[tokio::test]
     async fn nothing_is_written_over_and_nothing_is_left_behind_where_there_is_nothing_to_copy() {
         let folder = tempfile::tempdir().unwrap();
         let data = folder.path().join("data");

@@ -124,3 +124,21 @@ impl Store {
             .then(|| "flip.lock was removed or replaced while FLIP ran: start FLIP anew".to_owned())
     }
 }
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+    use crate::place::Place;
+    use std::path::Path;
+
+    #[tokio::test]
+    async fn a_full_disk_is_told_with_what_is_free_and_what_is_needed() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = Store::open(folder.path()).await.unwrap();
+        assert_eq!(store.health().await.disk, Check { ok: true, why: None });
+        // A file system without any room.
+        store.place = Place::of(Path::new("/proc/version")).unwrap();
+        let told = store.health().await.disk;
+        assert!(!told.ok && told.why.unwrap().starts_with("0 MiB are free on the disk of /proc"));
+    }
+}

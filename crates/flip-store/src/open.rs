@@ -205,6 +205,21 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn damage_that_nobody_reads_is_found_at_the_start() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let writer = store.writer().unwrap();
+        sqlx::query("PRAGMA ignore_check_constraints = 1").execute(writer).await.unwrap();
+        let insert = "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at) \
+                      VALUES ('x', 'seance', '{}', randomblob(32), 'failed', 0)";
+        sqlx::query(insert).execute(writer).await.unwrap();
+        store.close().await;
+        drop(store);
+        let refused = Store::open(folder.path()).await.unwrap_err();
+        assert!(matches!(refused, Error::Damaged(_)), "{refused}");
+    }
+
+    #[tokio::test]
     async fn opening_again_changes_nothing_and_reading_needs_no_lock() {
         let folder = tempfile::tempdir().unwrap();
         Store::open(folder.path()).await.unwrap().close().await;

@@ -69,3 +69,32 @@ impl Store {
 fn records(rows: &[sqlx::sqlite::SqliteRow]) -> Result<Vec<AuditRecord>> {
     rows.iter().map(|row| Written::of(row)?.record()).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[tokio::test]
+    async fn long_answers_come_in_parts_and_take_no_reader_from_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let many = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n WHERE k < 5000)
+             INSERT INTO audit (seq, at, weighing, kind, body, hash)
+             SELECT (SELECT max(seq) FROM audit) + k, 0, NULL, 'reading', '{}', printf('%064d', k) FROM n";
+        sqlx::query(many).execute(store.writer().unwrap()).await.unwrap();
+        let mut others = Vec::new();
+        while let Some(reader) = store.reader().try_acquire() {
+            others.push(reader);
+        }
+        for _ in others.len()..store.reader().options().get_max_connections() as usize {
+            others.push(store.reader().acquire().await.unwrap());
+        }
+        let long = async {
+            assert_eq!(store.audit_after(None, 0).await.unwrap().len() as i64, LONG_BATCH);
+            assert!(!store.measurements_after(None, 0).await.unwrap().0.is_empty());
+            assert!(store.observations_after(None, 0).await.unwrap().0.is_empty());
+        };
+        tokio::time::timeout(Duration::from_secs(10), long).await.expect("nobody is waited for");
+    }
+}
