@@ -11,6 +11,8 @@
 //! Then, as after any error, call [`Arm::retract`] or drop the arm.
 
 mod background;
+#[cfg(test)]
+mod deadline_tests;
 mod limits;
 mod remote;
 mod stopper;
