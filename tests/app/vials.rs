@@ -11,6 +11,7 @@ use flip_bench::hardware::arm::{Arm, Deadlines};
 use flip_bench::hardware::clock::Clock;
 use flip_bench::hardware::wire::Tap;
 use flip_bench::rig::Devices;
+use flip_core::domain::vial::EmptyVial;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use std::sync::Arc;
 
@@ -162,6 +163,32 @@ async fn what_was_said_of_a_vial_is_void_after_a_stop_and_after_a_restart() {
     app.vial_ready(&a, said("A")).await.unwrap();
     assert_eq!(done(&app, &a).await.state, WeighingState::Done);
     app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_vial_that_is_not_empty_by_the_bench_file_is_refused_at_the_first_dose() {
+    for (empty_mg, fits) in [(11_950.0, false), (12_000.0, true)] {
+        let clock = Clock::standing();
+        let settings = lab::Settings {
+            arm: arm::Settings { dead_man_ms: PATIENT_MS, ..Default::default() },
+            ..Default::default()
+        };
+        let laboratory = Laboratory::start(settings, clock.clone(), spoon(1)).unwrap();
+        let mut file = laboratory.file();
+        file.vial = Some(EmptyVial { empty_mg, spread_mg: 20.0 });
+        let rig = Arc::new(Devices::with_clock(file, clock));
+        let (_folder, app) = open(Functions { rig, ..functions() }).await;
+        calibrated(&app, "sand").await;
+        let id = asked(&app, "A").await;
+        until_awaiting(&app, &id).await;
+        app.vial_ready(&id, said("A")).await.unwrap();
+        let weighing = done(&app, &id).await;
+        assert_eq!(weighing.state == WeighingState::Done, fits, "{weighing:?}");
+        assert_eq!(laboratory.dispensed_mg() > 0.0, fits);
+        let words = weighing.error.unwrap_or_default();
+        assert_eq!(words.contains("more than the heaviest empty vial"), !fits, "{words}");
+        app.shutdown().await.unwrap();
+    }
 }
 
 /// A client that has control of the arm and no longer renews it.

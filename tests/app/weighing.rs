@@ -104,6 +104,32 @@ async fn a_weighing_ends_with_its_outcome_and_its_trace() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_error_is_that_of_the_reading_and_a_dose_that_was_not_weighed_has_none() {
+    let ends = [
+        (15.0, Outcome::Within, Some(0.25)),
+        (14.0, Outcome::Over, Some(0.25)),
+        (13.0, Outcome::NotStable, None),
+        (12.0, Outcome::Stopped, None),
+    ];
+    let pours = move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
+        let end = ends.iter().find(|it| it.0 == pouring.order.target_mg).unwrap();
+        let poured = pour(pouring, on_event, stop);
+        // The balance shows another mass than the one that fell.
+        Poured { outcome: end.1, dispensed_mg: Some(1.0), ..poured }
+    };
+    let rig = ToyRig::of(BenchKind::Simulated, pours);
+    let (_folder, app) = open(Functions { rig, ..functions() }).await;
+    calibrated(&app, "sand").await;
+    for (target_mg, outcome, error_mg) in ends {
+        let key = target_mg.to_string();
+        let id = app.start_weighing(mg("sand", target_mg), &key).await.unwrap().0.id;
+        let weighing = done(&app, &id).await;
+        assert_eq!((weighing.outcome, weighing.error_mg), (Some(outcome), error_mg));
+    }
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_hundred_parallel_requests_with_one_key_make_one_weighing_and_one_pour() {
     let gate = Arc::new(Gate::default());
     let (_folder, app) = open(gate.functions()).await;
@@ -321,6 +347,8 @@ async fn requests_that_cannot_be_met_are_refused_and_store_nothing() {
     assert_eq!(refused(with(tolerance(f64::INFINITY, "%")), "k").await, "tolerance.lower");
     assert_eq!(refused(with(tolerance(101.0, "%")), "k").await, "tolerance.lower");
     assert_eq!(refused(with(tolerance(1.0, "ml")), "k").await, "tolerance.unit");
+    let narrow = Tolerance { lower: 0.1, upper: 0.1, unit: "mg".into() };
+    assert_eq!(refused(with(narrow), "k").await, "tolerance.upper", "the display steps by 1 mg");
     let unknown = WeighingRequest { policy: Some("p-0".into()), ..mg("sand", 15.0) };
     assert_eq!(refused(unknown, "k").await, "policy");
     assert!(app.weighings(PageQuery::default()).await.unwrap().items.is_empty());

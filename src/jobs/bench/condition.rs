@@ -331,3 +331,29 @@ impl Condition {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_holds_what_moves_outside_the_lane_until_a_person_resumes() {
+        let flag = Arc::<AtomicBool>::default();
+        let is_held = || flag.load(Ordering::SeqCst);
+        let condition = Condition::of(flag.clone());
+        condition.halt(None);
+        let first = condition.stops();
+        assert!(is_held());
+        condition.halt(None);
+        assert!(!condition.resume(first) && is_held(), "there was another stop since");
+        assert!(condition.resume(condition.stops()) && !is_held());
+    }
+
+    #[test]
+    fn what_was_said_of_a_vial_before_a_stop_is_void_after_it() {
+        let condition = Condition::default();
+        assert!(condition.vial_is_in("w", None, condition.stops()) && condition.is_vial_in("w"));
+        condition.halt(None);
+        assert!(!condition.is_vial_in("w"));
+    }
+}
