@@ -337,6 +337,19 @@ async fn a_write_lock_that_another_process_holds_delays_no_stop() {
     assert_eq!(outcome(&service, &id).await, "stopped");
 }
 
+#[tokio::test]
+async fn a_stop_asks_no_database_who_shows_its_token() {
+    let service = Service::ready().await;
+    let _held = service.hold_bench();
+    let id = pouring(&service).await;
+    let token = service.token(Role::Operator).await;
+    let pool = database(&service).await;
+    sqlx::query("ALTER TABLE token RENAME TO token_away").execute(&pool).await.unwrap();
+    assert_eq!(stop(&service, &token).await.0, 200);
+    assert_eq!(outcome(&service, &id).await, "stopped");
+    sqlx::query("ALTER TABLE token_away RENAME TO token").execute(&pool).await.unwrap();
+}
+
 /// Stops of waiting weighings, each requested repeatedly; returns the statuses.
 fn stops_of_waiting(service: &Service, token: &str, ids: &[String], times: usize) -> JoinSet<u16> {
     let mut stops = JoinSet::new();
@@ -402,6 +415,7 @@ async fn stops_of_waiting_weighings_leave_room_for_a_stop_of_the_bench_on_the_sa
     // No stream is left before some of them are refused.
     let refused = stops.join_next().await.unwrap().unwrap().unwrap_err();
     assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");
+    assert!(refused.message().contains("too many stops"), "at once, not in the end: {refused}");
     let request = with_token(&token, StopBenchRequest {});
     let stopped = tokio::time::timeout(SOON, BenchClient::new(channel).stop_bench(request)).await;
     assert!(stopped.expect("a stop is answered soon").unwrap().into_inner().held.is_some());

@@ -19,15 +19,19 @@ async fn locked(service: &Service) -> SqliteConnection {
     other
 }
 
+/// How often health is asked for, 50 ms apart: much longer than a change takes to be noticed.
+const LOOKS: usize = 600;
+
 /// Waits until `/readyz` answers with this status; returns its document.
 async fn until_ready_is(service: &Service, status: u16) -> Value {
-    loop {
+    for _ in 0..LOOKS {
         let response = service.get("/readyz").await;
         if response.status() == status {
             return response.json().await.unwrap();
         }
         tokio::time::sleep(std::time::Duration::from_millis(50)).await;
     }
+    panic!("/readyz does not answer {status}");
 }
 
 async fn until_health_is(service: &Service, name: &str, status: ServingStatus) {
@@ -35,9 +39,13 @@ async fn until_health_is(service: &Service, name: &str, status: ServingStatus) {
         tonic::transport::Endpoint::from_shared(service.url("")).unwrap().connect().await.unwrap();
     let mut client = HealthClient::new(channel);
     let request = HealthCheckRequest { service: name.to_owned() };
-    while client.check(request.clone()).await.unwrap().into_inner().status() != status {
+    for _ in 0..LOOKS {
+        if client.check(request.clone()).await.unwrap().into_inner().status() == status {
+            return;
+        }
         tokio::time::sleep(std::time::Duration::from_millis(50)).await;
     }
+    panic!("the health of {name} is not {status:?}");
 }
 
 #[tokio::test]
