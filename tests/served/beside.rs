@@ -14,9 +14,17 @@ async fn add_powder(service: &Service, token: &str, id: &str) -> u16 {
     request.send().await.unwrap().status().as_u16()
 }
 
+/// What a command says. One that serves although it should refuse is ended after a while.
 fn flip(data_dir: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_flip"));
-    command.args(arguments).arg("--data-dir").arg(data_dir).env_remove("FLIP_LOG").output().unwrap()
+    let mut command = Command::new("timeout");
+    command
+        .args(["60", env!("CARGO_BIN_EXE_flip")])
+        .args(arguments)
+        .arg("--data-dir")
+        .arg(data_dir)
+        .env_remove("FLIP_LOG")
+        .output()
+        .unwrap()
 }
 
 fn document(output: &Output) -> Value {
