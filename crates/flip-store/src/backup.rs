@@ -142,7 +142,7 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     File::open(&database).and_then(|file| file.sync_all()).map_err(failed)?;
 
     let copy = Store::open_to_read(folder).await?;
-    sound::check(&copy.reader, &database).await?;
+    sound::check(&database).await?;
     let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(&copy.reader).await?;
     let mut lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
     let named_archives: Vec<(String, String)> =

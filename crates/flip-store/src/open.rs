@@ -45,7 +45,7 @@ impl Store {
         sound::prepare(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))?;
         let writer = write_connection(connection(data_dir)).await?;
         check_library(&writer).await?;
-        sound::check(&writer, &database).await?;
+        sound::check(&database).await?;
         sound::check_version(&writer, &migrations()).await?;
         migrations().run(&writer).await.map_err(sqlx::Error::from)?;
         let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock))).await?;
@@ -74,7 +74,7 @@ impl Store {
             return Ok(None);
         }
         let store = Self::open_to_read(data_dir).await?;
-        sound::check(&store.reader, &database).await?;
+        sound::check(&database).await?;
         Ok(Some(store))
     }
 
@@ -215,8 +215,17 @@ mod tests {
         sqlx::query(insert).execute(writer).await.unwrap();
         store.close().await;
         drop(store);
-        let refused = Store::open(folder.path()).await.unwrap_err();
-        assert!(matches!(refused, Error::Damaged(_)), "{refused}");
+        // Who only reads it finds the same, also in a copy.
+        let elsewhere = tempfile::tempdir().unwrap();
+        let copied = crate::backup::copy(folder.path(), &elsewhere.path().join("copy")).await;
+        let refusals = [
+            Store::open(folder.path()).await.err(),
+            Store::examine(folder.path()).await.err(),
+            copied.err(),
+        ];
+        for refused in refusals {
+            assert!(matches!(refused, Some(Error::Damaged(_))), "{refused:?}");
+        }
     }
 
     #[tokio::test]

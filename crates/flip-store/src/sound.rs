@@ -3,9 +3,10 @@
 
 use super::archive::Archives;
 use super::artifacts::Artifacts;
+use super::open::connection_that_gives_up;
 use super::{Error, Result};
-use sqlx::SqlitePool;
 use sqlx::migrate::Migrator;
+use sqlx::{Connection, SqliteConnection, SqlitePool};
 use std::fs::{self, DirBuilder, OpenOptions};
 use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
@@ -65,10 +66,15 @@ pub(super) fn make_folder(data_dir: &Path) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Damaged`] with the first problem found.
-pub(super) async fn check(pool: &SqlitePool, database: &Path) -> Result<()> {
+pub(super) async fn check(database: &Path) -> Result<()> {
+    // On a connection that could write: SQLite forgets the CHECKs of a database opened to read.
+    let options = connection_that_gives_up(database).pragma("query_only", "on");
+    let mut connection = SqliteConnection::connect_with(&options).await.map_err(damaged)?;
     let large = fs::metadata(database).is_ok_and(|it| it.len() > CHECKED_IN_FULL);
     let pragma = if large { "PRAGMA quick_check(1)" } else { "PRAGMA integrity_check(1)" };
-    let found: String = sqlx::query_scalar(pragma).fetch_one(pool).await.map_err(damaged)?;
+    let found: String =
+        sqlx::query_scalar(pragma).fetch_one(&mut connection).await.map_err(damaged)?;
+    connection.close().await?;
     if found == "ok" { Ok(()) } else { Err(Error::Damaged(found)) }
 }
 
