@@ -112,7 +112,7 @@ async fn the_error_is_that_of_the_reading_and_a_dose_that_was_not_weighed_has_no
         (12.0, Outcome::Stopped, None),
     ];
     let pours = move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
-        let end = ends.iter().find(|it| it.0 == pouring.order.target_mg).unwrap();
+        let end = ends.iter().find(|it| it.0 == pouring.task.order.target_mg).unwrap();
         let poured = pour(pouring, on_event, stop);
         // The balance shows another mass than the one that fell.
         Poured { outcome: end.1, dispensed_mg: Some(1.0), ..poured }

@@ -84,11 +84,11 @@ mod tests {
              SELECT (SELECT max(seq) FROM audit) + k, 0, NULL, 'reading', '{}', printf('%064d', k) FROM n";
         sqlx::query(many).execute(store.writer().unwrap()).await.unwrap();
         let mut others = Vec::new();
-        while let Some(reader) = store.reader().try_acquire() {
+        while let Some(reader) = store.reader.try_acquire() {
             others.push(reader);
         }
-        for _ in others.len()..store.reader().options().get_max_connections() as usize {
-            others.push(store.reader().acquire().await.unwrap());
+        for _ in others.len()..store.reader.options().get_max_connections() as usize {
+            others.push(store.reader.acquire().await.unwrap());
         }
         let long = async {
             assert_eq!(store.audit_after(None, 0).await.unwrap().len() as i64, LONG_BATCH);
