@@ -24,11 +24,13 @@ fn copied() -> Vec<String> {
     lines.flat_map(|line| line.rsplit_once(' ').unwrap().0.split(' ').map(str::to_owned)).collect()
 }
 
-/// Whether `.dockerignore`, which excludes everything and re-includes paths by name, lets a
-/// top-level path through.
+/// Whether `.dockerignore` lets a path through. It excludes everything, re-includes top-level paths
+/// by name, and excludes some paths below them: the last line that names a path or one above it
+/// counts.
 fn is_let_through(name: &str) -> bool {
     let ignore = fs::read_to_string(Path::new(ROOT).join(".dockerignore")).unwrap();
-    ignore.lines().any(|line| line.strip_prefix('!') == Some(name))
+    let names = |line: &str| Path::new(name).starts_with(line.trim_start_matches('!'));
+    ignore.lines().rfind(|line| names(line)).is_some_and(|line| line.starts_with('!'))
 }
 
 fn copy(from: &Path, to: &Path) {
@@ -50,7 +52,9 @@ fn context() -> tempfile::TempDir {
             is_let_through(&name),
             "the Dockerfile copies `{name}`, which .dockerignore keeps out"
         );
-        copy(&Path::new(ROOT).join(&name), &folder.path().join(&name));
+        let to = folder.path().join(&name);
+        fs::create_dir_all(to.parent().unwrap()).unwrap();
+        copy(&Path::new(ROOT).join(&name), &to);
     }
     folder
 }

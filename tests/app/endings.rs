@@ -62,7 +62,7 @@ async fn an_ending_that_cannot_be_written_is_kept_and_written_when_it_can_be() {
     assert_eq!((found.unwritten.unwrap().weighing, found.moving), (first.clone(), None));
     assert_eq!(pours.load(Ordering::SeqCst), 1, "nothing begins meanwhile");
     let told = app.readiness().await.checks.bench.why.unwrap();
-    assert!(told.contains(&first) && told.contains("could not be written down"), "{told}");
+    assert!(told.contains(&first) && told.contains("could not be recorded"), "{told}");
     holding.rollback().await.unwrap();
     let weighing: Weighing = done(&app, &first).await;
     assert_eq!((weighing.outcome, weighing.reading_mg), (Some(Outcome::Within), Some(15.25)));

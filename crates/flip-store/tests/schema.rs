@@ -207,11 +207,13 @@ async fn a_folder_of_every_schema_opens_with_all_its_rows_and_reads() {
 
 #[tokio::test]
 async fn words_leave_the_schema_and_nothing_else_does() {
-    let folder = folder_of(20).await;
+    let folder = folder_of(21).await;
     let pool = connect(folder.path()).await;
     let before = structure(&pool).await;
     migrations(22).run(&pool).await.unwrap();
-    assert_eq!(structure(&pool).await, before);
+    let after = structure(&pool).await;
+    let changed: Vec<_> = after.symmetric_difference(&before).collect();
+    assert!(changed.is_empty(), "{changed:#?}");
 }
 
 #[test]
