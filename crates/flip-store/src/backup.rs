@@ -406,7 +406,8 @@ mod tests {
         fs::remove_file(&blobs[2].0).unwrap();
         let mut made = copy(&path("data"), &path("kept")).await.unwrap();
         let mut lost = vec![blobs[1].1.clone(), blobs[2].1.clone()];
-        (made.lost.sort(), lost.sort());
+        made.lost.sort();
+        lost.sort();
         assert_eq!((made.files, made.lost), (1, lost));
     }
 

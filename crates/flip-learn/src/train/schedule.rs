@@ -140,12 +140,12 @@ pub(super) fn search<F: Filling, C: Send + Sync>(
     let mut rng = Pcg64Mcg::seed_from_u64(derive(tuning.seed, &[2]));
     let score = |candidate: &C, doses| score(candidate, &spoons, doses);
     let drawn = (0..tuning.candidates).map(|_| draw(&mut rng)).collect();
-    let (best, first_spoons) = halve(drawn, tuning.spoons, kept, &score);
+    let (best, first_spoons) = halve(drawn, tuning.spoons, kept, score);
     let around: Vec<C> = (best.len()..tuning.candidates.div_ceil(2) as usize)
         .map(|k| aside(&best[k % best.len()].1, &mut rng))
         .collect();
     let field = best.into_iter().map(|(_, candidate)| candidate).chain(around).collect();
-    let (best, second_spoons) = halve(field, tuning.spoons, kept, &score);
+    let (best, second_spoons) = halve(field, tuning.spoons, kept, score);
     (best, first_spoons + second_spoons)
 }
 
