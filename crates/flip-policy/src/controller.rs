@@ -33,7 +33,7 @@ pub enum Controller {
 }
 
 /// A pitch and the shake to make there.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScheduledStep {
     /// Pitch, degrees; approached by at most 8 deg per step, and no shake is made before it is
@@ -44,7 +44,7 @@ pub struct ScheduledStep {
 }
 
 /// Steps to carry out in order; the last one repeats. A step lasts until its pitch is reached.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Schedule {
     /// The pitch before the first shake and after each one, with the shake made at that pitch.

@@ -5,7 +5,7 @@ use flip_core::domain::bench::PitchLimits;
 use serde::{Deserialize, Serialize};
 
 /// Condition that ends an episode before its steps are used up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Ending {
     /// None: every step is carried out, as the paper describes its episodes.
@@ -19,7 +19,7 @@ pub enum Ending {
 pub const ON_TARGET_MG: f64 = 1.0;
 
 /// The limits a controller was made for.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Rules {
     /// Most steps in one episode.
     pub steps_max: u32,
@@ -51,7 +51,7 @@ impl Rules {
 
 /// State of an episode. A learner must distinguish the last two: only after termination is the
 /// future worth nothing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Episode {
     /// Another step follows.

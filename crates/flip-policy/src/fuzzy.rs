@@ -32,7 +32,7 @@ use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// Breakpoints of the inputs and centroids of the outputs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fuzzy {
     /// Peaks of a small, medium and large missing mass, mg; rising, 0 to 1000.

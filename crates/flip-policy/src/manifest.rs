@@ -12,9 +12,8 @@ use flip_core::domain::parameters::ParameterSet;
 use serde::{Deserialize, Serialize};
 
 /// Kind of controller in a policy, with its configuration besides weights.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-#[schema(as = PolicyKind)]
 pub enum Kind {
     /// A network; its weights are the file's tensors.
     Learned {
@@ -98,7 +97,7 @@ impl Kind {
 }
 
 /// A parameter set that a policy trained on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SetManifest {
     /// Its content address.
     pub id: String,
@@ -107,7 +106,7 @@ pub struct SetManifest {
 }
 
 /// A level of the curriculum.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LevelManifest {
     /// Powder id.
     pub powder: String,
@@ -120,7 +119,7 @@ pub struct LevelManifest {
 }
 
 /// Why a curriculum moved to another level.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SwitchReason {
     /// The mean of the queued errors was small enough.
@@ -134,7 +133,7 @@ pub enum SwitchReason {
 }
 
 /// A move from one level to the next.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Switch {
     /// Episodes before the move, over the whole training.
     pub episode: u32,
@@ -147,8 +146,7 @@ pub struct Switch {
 }
 
 /// A policy's origin. Stored inside the policy's file and alongside it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = PolicyManifest)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Kind of controller.
     #[serde(flatten)]

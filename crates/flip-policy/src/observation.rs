@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// The observable state of a weighing: the same in simulation and on a bench.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Observation {
     /// Balance reading, mg; not the true mass.
     pub reading_mg: f64,
@@ -26,7 +26,7 @@ pub struct Known {
 
 /// How an [`Observation`] becomes network inputs. Part of a policy: its weights are meaningless
 /// without it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Encoding {
     /// The published robot's encoding: `[reading / 2, -5 pitch, target / 2]` with masses in mg and

@@ -39,7 +39,7 @@ const PIECE_MG: f64 = 0.5;
 const ENOUGH: f64 = 3.0;
 
 /// The rules of an unhurried weighing, and their adaptation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Paced {
     /// The rules for a pace of at most `pace_mg`.

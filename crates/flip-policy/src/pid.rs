@@ -22,7 +22,7 @@ use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// Gains: shares of the largest action per mg of error.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Gains {
     /// Gain on the error, 1/mg; -10 to 10.
@@ -34,7 +34,7 @@ pub struct Gains {
 }
 
 /// The PID rule.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pid {
     /// Gains for the change of the pitch.

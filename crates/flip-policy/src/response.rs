@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Distribution of simulated spoons over powders and spoonfuls: the prior of a dispenser, and its
 /// loss.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Response {
     /// Pitch at which a spoon begins to release powder, degrees: mean and standard deviation.

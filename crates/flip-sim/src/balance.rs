@@ -5,8 +5,7 @@ use flip_core::domain::seed::derive;
 use serde::{Deserialize, Serialize};
 
 /// Settings of the simulated balance.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = BalanceSettings)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
     /// Display step, mg. Default 1 (the published bench's balance).

@@ -19,7 +19,7 @@ use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 
 /// Solver semantics.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Compat {
     /// FLIP's own: friction with a memory, so that heaps rest; every parameter acts by one
@@ -32,8 +32,7 @@ pub enum Compat {
 }
 
 /// Settings of the heap experiment; stored with every result.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = ReposeSettings)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// Grains poured. Default 2000.
@@ -108,7 +107,7 @@ impl Settings {
 }
 
 /// One simulated heap.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Repose {
     /// atan(2 h / d_base) from the apex, degrees; mean over the readings.
     pub tip_deg: f64,

@@ -8,7 +8,7 @@ use super::tokens::Role;
 use serde::{Deserialize, Serialize};
 
 /// The caller of an action.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Who {
     /// The token's name, `command line` or `anonymous`.
     pub name: String,

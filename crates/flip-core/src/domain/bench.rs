@@ -84,7 +84,7 @@ pub struct Tick {
 }
 
 /// Range of the spoon's pitch.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PitchLimits {
     /// Lowest pitch, degrees.
     pub lower_deg: f64,
@@ -136,7 +136,7 @@ impl Reach {
 }
 
 /// The tared mass.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Tare {
     /// Mass of the vial, mg; none if the balance does not report it.
     pub tare_mg: Option<f64>,

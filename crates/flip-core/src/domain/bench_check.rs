@@ -5,7 +5,7 @@ use super::FieldError;
 use serde::{Deserialize, Serialize};
 
 /// Kind of check.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CheckKind {
     /// Ten weighings of one test weight.
@@ -70,7 +70,7 @@ pub fn minimum_weight_mg(repeatability_mg: f64, share: f64) -> f64 {
 }
 
 /// The arm's response to a commanded shake: a straight line fitted to the measurements.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ShakeCalibration {
     /// Commanded and executed amplitudes, mm, and the peak speed, mm/s, of each shake.
     pub shakes: Vec<ExecutedShake>,
@@ -85,7 +85,7 @@ pub struct ShakeCalibration {
 }
 
 /// One shake, commanded and executed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ExecutedShake {
     /// Commanded, mm.
     pub commanded_mm: f64,

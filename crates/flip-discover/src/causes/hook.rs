@@ -1,10 +1,9 @@
 //! Where a cause enters the simulator.
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 /// Where a cause enters the simulator.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Hook {
     /// An amplitude that is zero in the base simulator.

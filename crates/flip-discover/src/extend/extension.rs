@@ -27,10 +27,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use utoipa::ToSchema;
 
 /// How strong a cause is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Form {
     /// A form of the catalogue over the covariates, by name.
@@ -42,7 +41,7 @@ pub enum Form {
 }
 
 /// A covariate that an extension acts through.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Through {
     /// Name of the campaign's column.
     pub name: String,
@@ -57,7 +56,7 @@ pub struct Through {
 }
 
 /// What an extension does to one powder.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OnPowder {
     /// Powder id.
     pub powder: String,
@@ -68,7 +67,7 @@ pub struct OnPowder {
 }
 
 /// One cause as a mechanism of the simulator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Extension {
     /// Cause, as named in reports.
     pub mechanism: String,
@@ -94,7 +93,7 @@ pub struct Extension {
 }
 
 /// How an amplitude was found and verified.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
     /// The powders and the sets that stood for them.
     pub sets: Vec<FitSet>,
@@ -112,7 +111,7 @@ pub struct Fit {
 }
 
 /// A powder's angle at the reference.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AtReference {
     /// Powder id.
     pub powder: String,
@@ -121,7 +120,7 @@ pub struct AtReference {
 }
 
 /// What a version of the simulator adds to its base.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Extended {
     /// Its causes.
     pub extensions: Vec<Extension>,

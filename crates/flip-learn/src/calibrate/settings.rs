@@ -31,8 +31,7 @@ impl Method {
 
 /// Settings of one calibration; stored with the job and the result. [`Settings::of`] has a method's
 /// defaults.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = CalibrationSettings)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
     /// How parameter sets are searched for.

@@ -32,7 +32,7 @@ pub enum Event {
 }
 
 /// One episode, for curves and tables.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeRecord {
     /// Index, from 0.
     pub index: u32,
@@ -118,7 +118,7 @@ pub enum Start<'a> {
 }
 
 /// Losses and statistics of one update.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Losses {
     /// Loss of both critics.
     pub critic: f64,

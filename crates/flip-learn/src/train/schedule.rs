@@ -14,8 +14,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// How a schedule is searched for; stored with the result.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = TuningSettings)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tuning {
     /// Seed of the search.
@@ -55,7 +54,7 @@ impl Tuning {
 }
 
 /// A schedule and its search result.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Tuned {
     /// The schedule.
     pub schedule: Schedule,

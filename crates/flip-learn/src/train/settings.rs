@@ -41,7 +41,7 @@ pub enum Order {
 }
 
 /// The network architecture.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Network {
     /// Two hidden layers, no memory. Learns from single transitions.
@@ -58,7 +58,7 @@ pub enum Network {
 ///
 /// The memory before each step starts from zero at the episode's first step either way, as in a
 /// weighing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Replayed {
     /// The published code's: the actor's state after the first step was stored with the episode. It
@@ -71,7 +71,7 @@ pub enum Replayed {
 }
 
 /// Loss function of the critics.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CriticLoss {
     /// Half of the squared difference.
@@ -83,8 +83,7 @@ pub enum CriticLoss {
 
 /// The days of a training under an extended simulator; each episode has one. On the surrogate, only
 /// their effect on a powder's parameters applies.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = ExtendedTraining)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Extended {
     /// The version, and the conditions held fixed.
@@ -125,7 +124,7 @@ impl Extended {
 
 /// A training that continues from a policy, for conditions new to it.
 // Unknown fields are accepted: stored specifications may have `spoons`, used by an earlier version.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FineTuning {
     /// Id of the policy.
     pub policy: String,
@@ -144,8 +143,7 @@ pub struct FineTuning {
 /// Sources: "Haarnoja 2018" is arXiv:1812.05905; "prior work" is the public code of the published
 /// robot and of the method it builds on (github.com/omron-sinicx/robotic-powder-weighing); "ours"
 /// was measured, see `docs/decisions.md`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = TrainingSettings)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
     /// The preset these settings started from.

@@ -7,7 +7,7 @@ use crate::hardware::DeviceError;
 use serde::{Deserialize, Serialize};
 
 /// Identity of a balance, as far as its dialect reports it.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Maker, from the dialect.
     pub maker: String,

@@ -114,7 +114,7 @@ pub(crate) struct Commands {
 }
 
 /// One reading.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// Bench time of arrival, s.
     pub t_s: f64,

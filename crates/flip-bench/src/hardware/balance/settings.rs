@@ -7,7 +7,7 @@ use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// The command language of a balance.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dialect {
     /// Mettler-Toledo.
@@ -94,7 +94,7 @@ impl std::str::FromStr for Dialect {
 }
 
 /// How to wait for a stable reading.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StableBy {
     /// Poll readings until one is flagged stable: can be given up at any moment.
