@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Builds and runs every test: `python3 .ci/tests.py [NAME ...]`, only suites whose name contains a NAME if any is given.
 
-Suites that compute would keep all cores busy for half an hour while suites that wait (for emulated devices, for
-services, for a browser) leave them idle. So the lanes below run side by side, one suite after another in each; what
-computes has the lowest priority, like the service's own computing. Every suite's output is in target/test/SUITE.log.
+Suites that only compute run first, in lanes side by side: some of their tests keep one core busy for minutes. The others
+talk to emulated devices, services and a browser within deadlines, and have the machine to themselves, one after another.
+Every suite's output is in target/test/SUITE.log.
 """
 import json
 import os
@@ -19,17 +19,13 @@ TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 LOGS = ROOT / "target/test"
 CARGO = ["cargo", "test", "--release", "--locked", "--workspace", "--exclude", "flip-experiments"]
 
-# Suites by name, longest first. A suite named nowhere runs in the last lane.
+# Suites that compute, in lanes, the longest first. All others run after them.
 LANES = [
-    ["discovery", "cli", "flip_learn", "training", "doc"],
-    ["physics", "flip_discover", "flip_sim"],
-    ["page", "docs"],
-    ["flip_bench", "reliability", "kills", "fuzz", "balance_peers"],
-    ["app", "served", "api"],
+    ["discovery", "flip_learn", "training"],
+    ["physics", "flip_discover", "flip_sim", "flip_policy", "flip_core"],
 ]
-COMPUTES = LANES[0] + LANES[1]
-# Tests of a suite that run at a time, where they mostly wait.
-THREADS = {"flip_bench": 6}
+# Tests that run at a time in a suite in which they mostly wait.
+THREADS = {"flip_bench": 4}
 SLOWEST = 10
 
 
@@ -65,10 +61,9 @@ def run(name, command, folder):
     }
     if name in ("doc", "docs", "page"):
         del environment["RUSTC_BOOTSTRAP"]
-    polite = ["nice", "-n", "19"] if name in COMPUTES else []
     start = time.monotonic()
     with log.open("wb") as out:
-        status = subprocess.run([*polite, *command], cwd=folder, env=environment, stdout=out, stderr=subprocess.STDOUT).returncode
+        status = subprocess.run(command, cwd=folder, env=environment, stdout=out, stderr=subprocess.STDOUT).returncode
     text = log.read_text(errors="replace")
     passed = sum(int(n) for n in re.findall(r"^test result: \w+\. (\d+) passed", text, re.M))
     passed += sum(int(n) for n in re.findall(r"^\S+ pass (\d+)$", text, re.M))
@@ -81,8 +76,6 @@ def main():
     names = sys.argv[1:]
     LOGS.mkdir(parents=True, exist_ok=True)
     suites = {name: (command, folder) for name, command, folder in built() if not names or any(n in name for n in names)}
-    lanes = [[name for name in lane if name in suites] for lane in LANES]
-    lanes.append([name for name in suites if not any(name in lane for lane in LANES)])
     results, speak = {}, threading.Lock()
 
     def work(lane):
@@ -93,11 +86,13 @@ def main():
                 if status != 0:
                     print((LOGS / f"{name}.log").read_text(errors="replace"), flush=True)
 
-    threads = [threading.Thread(target=work, args=(lane,)) for lane in lanes if lane]
+    lanes = [[name for name in lane if name in suites] for lane in LANES]
+    threads = [threading.Thread(target=work, args=(lane,)) for lane in lanes]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
+    work([name for name in suites if not any(name in lane for lane in LANES)])
     print(f"the {SLOWEST} slowest tests:")
     for seconds, test in sorted((it for result in results.values() for it in result[3]), reverse=True)[:SLOWEST]:
         print(f"{seconds:7.1f} s  {test}")
