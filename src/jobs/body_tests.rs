@@ -185,12 +185,14 @@ fn an_evaluation_gives_the_same_bytes_on_any_number_of_threads_and_weighs_no_dos
         let (stopped, _) = pool.install(|| evaluated(&host, &plan));
         assert!(matches!(stopped, Err(JobError::Stopped)), "{stopped:?}");
         let half = host.kept().clone();
-        assert_eq!(half.doses.len(), 17);
+        // Doses that other threads had begun by then are saved too.
+        let saved = half.doses.len();
+        assert!((17..17 + threads).contains(&saved), "{saved} doses");
         let host = MemoryHost::resuming(half);
         let (resumed, weighed) = pool.install(|| evaluated(&host, &plan));
         assert_eq!(
             (serde_json::to_string(&resumed.unwrap()).unwrap(), weighed),
-            (whole.clone(), 23)
+            (whole.clone(), 40 - saved)
         );
         let lost = MemoryHost::losing_its_lease_after(4);
         assert!(matches!(evaluated(&lost, &plan).0, Err(JobError::Stopped)));

@@ -17,7 +17,7 @@ use std::time::Instant;
 pub trait Runner<E, O>: Send + Sync {
     /// Carries out `experiments`. `each` receives every run, with the place of its experiment in
     /// the slice, as soon as it has ended: in any order, but one at a time. After `Break` no
-    /// further experiment begins.
+    /// further experiment begins; the runs of those that had begun are still received.
     fn run(&self, experiments: &[E], each: &mut Each<'_, O>);
 
     /// Carries out `experiments`; the runs are in their order.
@@ -150,6 +150,8 @@ mod tests {
                 if received < 50 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
             });
         });
-        assert!((50..=50 + 2 * threads).contains(&begun.into_inner()));
+        let begun = begun.into_inner();
+        assert!((50..=50 + 2 * threads).contains(&begun));
+        assert_eq!(received, begun, "what had begun is not lost");
     }
 }
