@@ -51,67 +51,40 @@ pub(crate) fn experiment(
     settings: &Settings,
 ) -> Result<Option<Experiment>, FieldError> {
     let now = Prepared::new(campaign, responses)?;
-    let posterior = Posterior::new(&now);
-    let powders = responding(campaign, &posterior);
-    let mut ends: Vec<Ends> = Vec::new();
-    for name in causes.iter().flat_map(|cause| cause.covariates()) {
-        if let (false, Some(of)) =
-            (ends.iter().any(|end| end.0 == name), settings_of(campaign, name))
-        {
-            ends.push((name.to_owned(), of));
-        }
-    }
+    let powders = responding(campaign, &Posterior::new(&now));
+    let ends = varied(campaign, causes.iter().flat_map(|cause| cause.covariates()));
     let mut designs = designs(&ends);
     if is_claimed {
         let acts = |name: &str| causes[0].covariates().contains(&name);
         designs.retain(|design| design.iter().any(|(name, _)| acts(name)));
     }
-    // The effect of each cause on the runs of every candidate.
-    let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0) + 1;
     let planned =
         |design: &Vec<&Ends>, count| runs(campaign, design, &ends, &powders, count, settings.seed);
-    let candidates: Vec<Vec<Vec<Planned>>> =
-        designs.iter().map(|design| RUNS.map(|count| planned(design, count)).to_vec()).collect();
-    let asked: Vec<_> =
-        candidates.iter().flatten().flatten().map(|(p, c)| (*p, c.clone(), None)).collect();
-    let (unseen, first) = extended(campaign, session, &asked);
-    let prepared = Prepared::new(&unseen, responses)?;
-    let predicted = Posterior::new(&prepared);
-    let shifts: Vec<Vec<f64>> = causes.iter().map(|cause| predicted.shifts_by(cause)).collect();
-    let now: Vec<f64> =
-        causes.iter().map(|cause| predicted.inclusion_of(cause).max(0.05)).collect();
-    let game = Game { campaign, responses, prepared: &prepared, causes, now, session };
-    let mut best: Option<(f64, Experiment)> = None;
-    let mut first = first;
-    for (design, sizes) in designs.iter().zip(&candidates) {
-        let mut is_enough = false;
-        for runs in sizes {
-            let rows = first..first + runs.len();
-            first = rows.end;
-            if is_enough {
-                continue; // More runs of the same cost more.
-            }
-            let shifts: Vec<&[f64]> = shifts.iter().map(|of| &of[rows.clone()]).collect();
-            let [chance, expected] = game.play(runs, &shifts, settings.seed)?;
-            is_enough = chance >= ENOUGH;
-            let minutes = minutes(runs);
-            // The cheapest that is likely to answer, else the most likely to answer.
-            let score = if is_enough { 2.0 - minutes / 1e5 } else { chance - minutes / 1e6 };
-            if best.as_ref().is_none_or(|(best, _)| score > *best) {
-                let what = words(campaign, design, &ends, &powders, runs.len());
-                let runs = runs.iter().map(|run| written(campaign, run)).collect();
-                let asked = Experiment {
-                    what,
-                    runs,
-                    minutes,
-                    chance_of_resolution: Some(chance),
-                    expected_posterior: Some(expected),
-                };
-                best = Some((score, asked));
-            }
+    let candidates: Vec<[Vec<Planned>; RUNS.len()]> =
+        designs.iter().map(|design| RUNS.map(|count| planned(design, count))).collect();
+    let game = Game::new(campaign, responses, causes, &candidates)?;
+    let asked = |Choice { design, size, chance, expected }: Choice| {
+        let runs = &candidates[design][size];
+        Experiment {
+            what: words(campaign, &designs[design], &ends, &powders, runs.len()),
+            runs: runs.iter().map(|run| written(campaign, run)).collect(),
+            minutes: minutes(runs),
+            chance_of_resolution: Some(chance),
+            expected_posterior: Some(expected),
+        }
+    };
+    Ok(game.best(&candidates, settings.seed)?.map(asked))
+}
+
+/// Those of the covariates whose setting can differ, each once.
+fn varied<'a>(campaign: &Campaign, covariates: impl Iterator<Item = &'a str>) -> Vec<Ends> {
+    let mut ends: Vec<Ends> = Vec::new();
+    for name in covariates {
+        if ends.iter().all(|end| end.0 != name) {
+            ends.extend(settings_of(campaign, name).map(|of| (name.to_owned(), of)));
         }
     }
-    Ok(best.map(|(_, experiment)| experiment))
+    ends
 }
 
 /// Possible designs: each covariate alone, each two against each other, and all.
@@ -135,11 +108,7 @@ pub(crate) fn settling(
     cause: &Cause,
     seed: u64,
 ) -> Option<Experiment> {
-    let ends: Vec<Ends> = cause
-        .covariates()
-        .into_iter()
-        .filter_map(|name| Some((name.to_owned(), settings_of(campaign, name)?)))
-        .collect();
+    let ends = varied(campaign, cause.covariates().into_iter());
     let design: Vec<&Ends> = ends.iter().collect();
     if design.is_empty() {
         return None;
@@ -237,18 +206,78 @@ fn runs(
     runs
 }
 
-/// Inputs for simulating a candidate.
+/// The candidate chosen: its design, its place in [`RUNS`], and what [`Game::play`] said of it.
+struct Choice {
+    design: usize,
+    size: usize,
+    chance: f64,
+    expected: f64,
+}
+
+/// Inputs for simulating candidates.
 struct Game<'a> {
     campaign: &'a Campaign,
     responses: &'a Responses,
-    prepared: &'a Prepared,
     causes: &'a [&'a Cause],
     /// Current probability of each.
     now: Vec<f64>,
+    /// The contribution of each cause to each run, those of all candidates after the measured.
+    shifts: Vec<Vec<f64>>,
+    /// With the runs of all candidates, none of them measured.
+    prepared: Prepared,
+    /// The first of these runs.
+    first: usize,
+    /// Their session, a new one.
     session: usize,
 }
 
-impl Game<'_> {
+impl<'a> Game<'a> {
+    fn new(
+        campaign: &'a Campaign,
+        responses: &'a Responses,
+        causes: &'a [&'a Cause],
+        candidates: &[[Vec<Planned>; RUNS.len()]],
+    ) -> Result<Self, FieldError> {
+        let session = campaign.runs.iter().map(|run| run.session).max().unwrap_or(0) + 1;
+        let asked: Vec<_> =
+            candidates.iter().flatten().flatten().map(|(p, c)| (*p, c.clone(), None)).collect();
+        let (unseen, first) = extended(campaign, session, &asked);
+        let prepared = Prepared::new(&unseen, responses)?;
+        let posterior = Posterior::new(&prepared);
+        let shifts = causes.iter().map(|cause| posterior.shifts_by(cause)).collect();
+        let now = causes.iter().map(|cause| posterior.inclusion_of(cause).max(0.05)).collect();
+        Ok(Self { campaign, responses, causes, now, shifts, prepared, first, session })
+    }
+
+    /// The cheapest candidate that is likely to answer, else the one most likely to answer.
+    fn best(
+        &self,
+        candidates: &[[Vec<Planned>; RUNS.len()]],
+        seed: u64,
+    ) -> Result<Option<Choice>, FieldError> {
+        let mut best: Option<(f64, Choice)> = None;
+        let mut first = self.first;
+        for (design, sizes) in candidates.iter().enumerate() {
+            let mut is_enough = false;
+            for (size, runs) in sizes.iter().enumerate() {
+                let rows = first..first + runs.len();
+                first = rows.end;
+                if is_enough {
+                    continue; // More runs of the same cost more.
+                }
+                let shifts: Vec<&[f64]> = self.shifts.iter().map(|of| &of[rows.clone()]).collect();
+                let [chance, expected] = self.play(runs, &shifts, seed)?;
+                is_enough = chance >= ENOUGH;
+                let minutes = minutes(runs);
+                let score = if is_enough { 2.0 - minutes / 1e5 } else { chance - minutes / 1e6 };
+                if best.as_ref().is_none_or(|(best, _)| score > *best) {
+                    best = Some((score, Choice { design, size, chance, expected }));
+                }
+            }
+        }
+        Ok(best.map(|(_, choice)| choice))
+    }
+
     /// How often the right cause holds [`ANSWER`] of the candidates' probability, and its mean
     /// share. `shifts`: the contribution of each cause to each run.
     fn play(&self, runs: &[Planned], shifts: &[&[f64]], seed: u64) -> Result<[f64; 2], FieldError> {
