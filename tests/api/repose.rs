@@ -278,6 +278,16 @@ async fn a_bench_that_cannot_and_numbers_that_mean_nothing_are_refused() {
     service.stop().await;
 }
 
+/// Waits until the gate is open: a measurement that has failed never opens it.
+async fn gate_open(laboratory: &Laboratory) {
+    let opened = async {
+        while laboratory.slide.opening() < 1.0 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(60), opened).await.expect("the gate opens");
+}
+
 #[tokio::test]
 async fn a_stop_at_the_bench_and_a_cancelled_measurement_find_the_gate_closed() {
     let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
@@ -286,9 +296,7 @@ async fn a_stop_at_the_bench_and_a_cancelled_measurement_find_the_gate_closed() 
     let asked = json!({ "powder": "salt", "procedure": { "repeats": 1, "open_s": 300.0 } });
     for (end, state) in [("/v1/bench/stop", "failed"), ("cancel", "cancelled")] {
         let place = started(&service, &asked).await;
-        while laboratory.slide.opening() < 1.0 {
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
+        gate_open(&laboratory).await;
         let id = place.rsplit('/').next().unwrap();
         let end = if end == "cancel" { format!("/v1/jobs/{id}/cancel") } else { end.to_owned() };
         assert!(post(&service, &end, &json!({})).await.status().is_success(), "{end}");
@@ -318,9 +326,7 @@ async fn a_pile_that_is_being_made_is_told_as_what_moves_and_a_stop_of_the_bench
     )
     .await;
     let id = place.rsplit('/').next().unwrap();
-    while laboratory.slide.opening() < 1.0 {
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    gate_open(&laboratory).await;
     let found = get(&service, "/v1/bench").await;
     assert_eq!(
         (&found["piling"], &found["moving"]),
