@@ -20,6 +20,7 @@ mod page;
 mod probes;
 pub mod problem;
 pub mod rest;
+pub mod wire;
 
 pub use listen::{ServeConfig, ServeError, Tls};
 

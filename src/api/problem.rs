@@ -4,6 +4,7 @@
 //! and writes it as `application/problem+json`, or as a gRPC status ([`super::grpc::status`]) if
 //! the caller speaks gRPC.
 
+use super::wire::{self, Answer};
 use crate::app;
 use axum::Json;
 use axum::http::{HeaderValue, StatusCode, header};
@@ -29,7 +30,7 @@ pub struct Problem {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub instance: Option<String>,
     /// The fields that were refused; empty when no single field is at fault.
-    pub errors: Vec<FieldError>,
+    pub errors: Vec<wire::FieldError>,
 }
 
 /// The content type of [`Problem`].
@@ -60,7 +61,7 @@ impl Problem {
             .collect::<Vec<_>>()
             .join("; ");
         Self {
-            errors,
+            errors: errors.wire(),
             ..Self::new(StatusCode::BAD_REQUEST, "invalid", "The request is not valid", detail)
         }
     }

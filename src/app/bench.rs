@@ -25,7 +25,7 @@ use std::collections::BTreeMap;
 const WORDS_MAX: usize = 2000;
 
 /// The bench, and whether it may be used.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BenchStatus {
     /// Kind of bench; absent if another process has it.
     pub kind: Option<BenchKind>,
@@ -56,7 +56,7 @@ pub struct BenchStatus {
 }
 
 /// A person confirms having checked the bench.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClearRequest {
     /// Name of the person who checked.
@@ -75,7 +75,7 @@ pub struct ClearRequest {
 }
 
 /// A person lets weighings start again.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ResumeRequest {
     /// Name of the person resuming.
@@ -86,7 +86,7 @@ pub struct ResumeRequest {
 }
 
 /// Weighings of one test weight.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RepeatabilityRequest {
     /// Readings, mg, the weight reloaded for each; at least ten.

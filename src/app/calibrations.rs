@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// What to calibrate: a powder, or a bare angle of repose. Everything else has a default.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationRequest {
     /// Powder id; its newest automated measurement (else manual) is the target.
@@ -68,7 +68,7 @@ pub struct CalibrationRequest {
 const OBSERVATIONS_MAX: usize = 8;
 
 /// A calibration: its job, its target, and its result once it has succeeded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// The job; the calibration has the same id.
     pub job: Job,
@@ -82,7 +82,6 @@ pub struct Calibration {
     /// Other measurements.
     pub observations: Vec<Observation>,
     /// Every setting of the search and of the heap experiment.
-    #[schema(value_type = Object)]
     pub settings: serde_json::Value,
     /// Result; absent until it has succeeded.
     pub result: Option<CalibrationResult>,

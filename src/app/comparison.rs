@@ -8,7 +8,7 @@ use flip_core::domain::powder::{Flowability, mean_and_sd};
 use serde::{Deserialize, Serialize};
 
 /// Two calibrations compared.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Comparison {
     /// The requested calibration.
     pub calibration: ComparedCalibration,
@@ -26,7 +26,7 @@ pub struct Comparison {
 }
 
 /// Target, cost and result of one calibration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ComparedCalibration {
     /// Id of the calibration.
     pub id: String,
@@ -59,7 +59,7 @@ pub struct ComparedCalibration {
 }
 
 /// One parameter over the sets of a calibration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParameterSpread {
     /// Its key.
     pub key: String,

@@ -15,7 +15,7 @@ pub const BASE: &str = "base";
 pub const CURRENT: &str = "current";
 
 /// The version used where none is named.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CurrentSimulator {
     /// `base`, or a version, `sv-…`.
     pub simulator: String,
@@ -28,7 +28,7 @@ pub struct CurrentSimulator {
 }
 
 /// Version to use from now on where none is named.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ChosenSimulator {
     /// `base`, or a version, `sv-…`.

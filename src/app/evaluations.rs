@@ -26,7 +26,7 @@ const TARGETS_MG: [f64; 2] = [15.0, 20.0];
 const LIST_MAX: usize = 20;
 
 /// What to evaluate. Everything has a default.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EvaluationRequest {
     /// Policy id; default the newest, or the shipped one until a policy is trained.
@@ -70,7 +70,7 @@ pub struct EvaluationRequest {
 }
 
 /// An evaluation: its job, its settings, and the errors once it has succeeded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
     /// The job; the evaluation has the same id.
     pub job: Job,

@@ -42,28 +42,13 @@ const UNCALIBRATED: [[f64; 2]; 7] = [
 ];
 
 /// What to investigate. Everything has a default.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InvestigationRequest {
-    /// The runs as CSV text, one per row; default every stored measurement of an angle of repose,
-    /// or none if `traces_csv` is given.
-    ///
-    /// Columns: `powder` (id or name) and `repose_deg`; with `repose_sd_deg` and `n`, the row is a
-    /// summary of n runs. Conditions: `session` (the day), `order_in_session`, `method` (camera,
-    /// manual), `operator`, `batch`, `plate`, `relative_humidity_pct`, `temperature_c`, `rest_min`,
-    /// `container_age_d`, `funnel_height_mm`, `base_diameter_mm`, `poured_mass_g`, `flow_time_s`,
-    /// `vibration_rms_m_s2`, `ioniser_on`, and any other column. Separators are commas, semicolons
-    /// or tabs; decimals take a point or a comma; at most 20000 rows and 8 MiB. Empty cells, `NA`
-    /// and the like are missing values. A refusal names the cell, such as `row[2].repose_deg`; the
-    /// header is row 1. The report's `files` lists how each column was interpreted.
+    /// The runs as CSV text, one per row (docs/reference/csv.md); default every stored measurement
+    /// of an angle of repose, or none if `traces_csv` is given.
     pub measurements_csv: Option<String>,
-    /// Balance readings of weighings as CSV text, one per row; default none.
-    ///
-    /// Columns: `weighing_id`, `t_s` and `balance_mg`. Conditions: `stable`, `powder`, `session`
-    /// (the day), `shake_index` (shakes so far), `shake_mm`, `spoon_pitch_deg`, `spoon_fill_mg`,
-    /// `target_mg`, `relative_humidity_pct`, `vibration_rms_m_s2`, and `kind`: `dose`, or for a
-    /// control log `zero` (empty pan) or `standard` (a standard mass). Formats and limits are those
-    /// of `measurements_csv`.
+    /// Balance readings of weighings as CSV text, one per row (docs/reference/csv.md); default none.
     pub traces_csv: Option<String>,
     /// Order of dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`;
     /// needed where the column is ambiguous.
@@ -79,7 +64,7 @@ pub struct InvestigationRequest {
 }
 
 /// An investigation: its job, its data, and its findings once it has succeeded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Investigation {
     /// The job; the investigation has the same id.
     pub job: Job,

@@ -24,7 +24,7 @@ use std::collections::HashSet;
 ///
 /// `repose_deg` with `sd_deg` and `n`, or alone as a single value; the angles of all repeats in
 /// `repeats_deg`; or the heaps themselves, `heights_mm` with `base_diameters_mm`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NewMeasurement {
     /// How it was measured.
@@ -52,7 +52,7 @@ pub struct NewMeasurement {
 }
 
 /// A measurement to register, other than the angle of repose.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NewObservation {
     /// What was measured, with the settings of the experiment.
@@ -68,7 +68,7 @@ pub struct NewObservation {
 }
 
 /// Result of importing a file of measurements.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Imported {
     /// Ids of the powders registered because the file names them.
     pub powders: Vec<String>,

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 /// A powder to register.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NewPowder {
     /// A lower-case letter, then up to 63 of a-z, 0-9 and _; made from the name if omitted or
@@ -31,7 +31,7 @@ pub struct NewPowder {
 }
 
 /// A powder with all data on it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PowderDetail {
     /// The powder.
     pub powder: Powder,

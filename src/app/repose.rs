@@ -30,7 +30,7 @@ const RUNS_MAX: u32 = 1_000_000;
 static DECODERS: Semaphore = Semaphore::const_new(2);
 
 /// A measurement by camera to make. Everything but the powder has a default.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReposeRequest {
     /// Powder id.
@@ -54,7 +54,7 @@ pub struct ReposeRequest {
 }
 
 /// A measurement by camera: its job, its piles, and the angle once it has succeeded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ReposeMeasurement {
     /// The job; the measurement has the same id.
     pub job: Job,

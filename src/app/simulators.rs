@@ -14,7 +14,7 @@ use flip_store::simulators::SimulatorVersion;
 use serde::{Deserialize, Serialize};
 
 /// Rows whose angles are to be predicted.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PredictionRequest {
     /// The rows as CSV text, in the format of investigations; `repose_deg` is optional and ignored.

@@ -22,7 +22,7 @@ const LOOK: Duration = Duration::from_secs(1);
 const LOOKS_A_NOTE: u32 = 60;
 
 /// A token to create.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NewToken {
     /// Holder of the token, for the record.

@@ -32,7 +32,7 @@ const DAYS: usize = 64;
 const EPISODES_PER_CHECKPOINT: u32 = 4;
 
 /// What to train. Everything has a default.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingRequest {
     /// Order of the levels.
@@ -74,7 +74,7 @@ pub struct TrainingRequest {
 }
 
 /// A training: its job, its levels, and its policy once it has succeeded.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Training {
     /// The job; the training has the same id.
     pub job: Job,
@@ -90,14 +90,13 @@ pub struct Training {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
     /// Every setting.
-    #[schema(value_type = Object)]
     pub settings: serde_json::Value,
     /// Result; absent until it has succeeded.
     pub result: Option<TrainingResult>,
 }
 
 /// One level of a training.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrainingLevel {
     /// Powder id, or `repose_<angle>` for a bare angle.
     pub powder: String,

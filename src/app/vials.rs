@@ -15,7 +15,7 @@ const NAME_MAX: usize = 200;
 const SECONDS_MAX: u32 = 24 * 60 * 60;
 
 /// A person confirms that the vial of a weighing is in, and empty.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VialReadyRequest {
     /// Name of the person confirming.
@@ -27,7 +27,7 @@ pub struct VialReadyRequest {
 }
 
 /// A request to reserve the bench.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReservationRequest {
     /// Who reserves the bench.

@@ -33,7 +33,7 @@ const TRACE: &str = "the trace of this weighing";
 const SET_CHOICE: u64 = 1;
 
 /// What to weigh.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WeighingRequest {
     /// Powder id.
@@ -67,18 +67,17 @@ pub struct WeighingRequest {
 }
 
 /// A mass with its unit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Target {
     /// Value: at least one display step of the balance, and within what the spoon holds.
     pub value: f64,
     /// `mg` or `g`.
-    #[schema(examples("mg"))]
     pub unit: String,
 }
 
 /// Permitted deviation of a dose.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
     /// Accepted shortfall, >= 0 and less than the target.
@@ -87,12 +86,11 @@ pub struct Tolerance {
     /// balance.
     pub upper: f64,
     /// `mg`, `g`, or `%` of the target.
-    #[schema(examples("mg"))]
     pub unit: String,
 }
 
 /// A weighing with its ticks, even while it runs.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WeighingDetail {
     /// The weighing.
     pub weighing: Weighing,

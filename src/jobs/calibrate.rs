@@ -24,7 +24,7 @@ pub use flip_learn::calibrate::{Design, Method, Settings, Shortfall};
 const DRAWS: usize = 400;
 
 /// What a calibration found.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationResult {
     /// Whether as many sets were found as requested.
     #[serde(default = "yes")]
@@ -65,7 +65,7 @@ fn yes() -> bool {
 }
 
 /// The emulator that a calibration used.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EmulatorUse {
     /// Content address of its design and of the simulator's version.
     pub id: String,
@@ -78,7 +78,7 @@ pub struct EmulatorUse {
 }
 
 /// One set found by a calibration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationSet {
     /// Content address of the nine values.
     pub id: String,

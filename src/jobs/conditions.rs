@@ -18,7 +18,7 @@ pub const PARTICLES_MIN: u32 = 500;
 pub const PARTICLES_MAX: u32 = 4000;
 
 /// What is on the spoon, and mechanisms added to the simulator.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
     /// Grains on the spoon. Their mass is the powder's, so twice the grains is twice the powder.

@@ -49,7 +49,7 @@ pub fn simulated(task: &Task, simulation: &Simulation) -> std::result::Result<Do
 }
 
 /// Result of an evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationResult {
     /// One row for each controller, powder and target.
     pub rows: Vec<EvaluationRow>,

@@ -20,7 +20,7 @@ const REPEATS: u32 = 4;
 const SIGNIFICANT: f64 = 2.0;
 
 /// Comparison of a calibration's sets with an observation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Observed {
     /// What was measured.
     pub observation: Observation,
@@ -37,7 +37,7 @@ pub struct Observed {
 }
 
 /// Simulations of an observation with one set.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Simulated {
     /// Mean over the simulations, in the observable's unit; absent if each was refused or nothing
     /// flowed.

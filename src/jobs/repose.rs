@@ -24,7 +24,7 @@ use std::sync::atomic::Ordering;
 const SPARE: u32 = 2;
 
 /// Result of a measurement by camera.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ReposeResult {
     /// Angles by both estimators.
     pub repeats: Repeats,

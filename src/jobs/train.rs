@@ -56,7 +56,7 @@ pub fn simulated() -> Train {
 }
 
 /// Result of a training.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrainingResult {
     /// Policy id.
     pub policy: String,
@@ -65,7 +65,6 @@ pub struct TrainingResult {
     /// Mean absolute error of the last 20 episodes, mg.
     pub final_error_mg: f64,
     /// The levels it trained on, in the order met, with the episodes on each.
-    #[schema(value_type = Vec<Object>)]
     pub levels: Vec<serde_json::Value>,
 }
 

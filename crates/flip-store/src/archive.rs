@@ -36,7 +36,7 @@ pub(super) const NAMED: &str = "SELECT body ->> '$.file' AS file, body ->> '$.sh
 const UNPACKED_MAX: u64 = 1 << 30;
 
 /// An archive that is missing or damaged.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LostArchive {
     /// The file, in the data folder.
     pub file: String,

@@ -23,7 +23,7 @@ use sha2::{Digest, Sha256};
 use sqlx::sqlite::SqliteRow;
 
 /// One record of the audit trail.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AuditRecord {
     /// Position; without gaps.
     pub seq: i64,
@@ -36,14 +36,13 @@ pub struct AuditRecord {
     /// an archive that is gone.
     pub kind: String,
     /// Contents: for a `state` its name, else an object whose fields depend on the kind.
-    #[schema(value_type = serde_json::Value)]
     pub body: serde_json::Value,
     /// Hash of this record and, through the previous one, of all before.
     pub hash: String,
 }
 
 /// Whether the audit trail is intact.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditVerification {
     /// Records checked.
     pub records: i64,
@@ -68,7 +67,7 @@ pub struct AuditVerification {
 }
 
 /// Where an audit trail is broken.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditBreak {
     /// Position of the record.
     pub seq: i64,

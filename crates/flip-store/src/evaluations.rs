@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// Errors of one controller in one cell of an evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationRow {
     /// `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`,
     /// `fuzzy` or `paced`.
@@ -36,7 +36,7 @@ pub struct EvaluationRow {
 }
 
 /// Errors of one controller over all cells of an evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationSummary {
     /// `policy`, `untrained`, `fixed`, `schedule`, `dispenser`, `pid`,
     /// `fuzzy` or `paced`.

@@ -8,7 +8,7 @@ use sqlx::sqlite::SqliteRow;
 use tokio::sync::watch;
 
 /// An event of a job or a weighing, or a choice of the current simulator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Event {
     /// Position in the order of all events; the `id:` of a server-sent event.
     pub seq: i64,
@@ -18,7 +18,6 @@ pub struct Event {
     /// a weighing; `current` of the simulator; `latched` or `cleared` of the bench.
     pub kind: String,
     /// Contents; the fields depend on the kind.
-    #[schema(value_type = Object)]
     pub data: serde_json::Value,
     /// When.
     pub at: Timestamp,

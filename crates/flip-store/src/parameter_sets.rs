@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
 /// A parameter set kept by a calibration: the simulated twin of a powder. Never changes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibratedSet {
     /// Content address: `ps-` and 16 hexadecimal digits.
     pub id: String,

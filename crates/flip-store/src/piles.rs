@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
 /// One pile.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pile {
     /// Number within its measurement, from 1.
     pub number: u32,
@@ -23,7 +23,7 @@ pub struct Pile {
 }
 
 /// The three files of a frame as received, each by its SHA-256.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameFiles {
     /// A 16-bit grey PNG, or raw Z16.
     pub depth: String,

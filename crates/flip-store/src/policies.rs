@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
 /// A trained policy. Never changes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Policy {
     /// Content address: `p-` and 16 hexadecimal digits.
     pub id: String,
@@ -19,7 +19,6 @@ pub struct Policy {
     /// The training that made it.
     pub training: Option<String>,
     /// Settings, seed, parameter sets, curriculum history, versions.
-    #[schema(value_type = Object)]
     pub manifest: serde_json::Value,
     /// SHA-256 of the bytes, hexadecimal.
     pub sha256: String,
@@ -32,7 +31,7 @@ pub struct Policy {
 }
 
 /// Evaluation results of a policy on one powder.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PolicyError {
     /// Powder id.
     pub powder: String,

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
 /// A version of the simulator: its base, its extensions, and their origin. Never changes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SimulatorVersion {
     /// `sv-` and 16 hexadecimal digits of the SHA-256 of its inputs: campaign, settings and base.
     pub id: String,
@@ -18,7 +18,6 @@ pub struct SimulatorVersion {
     pub investigation: String,
     /// Causes with fitted parameters, their benefit on held-out days, and whether simulations
     /// confirmed it.
-    #[schema(value_type = Object)]
     pub body: serde_json::Value,
     /// When it was stored.
     pub created_at: Timestamp,

@@ -21,7 +21,7 @@ use std::collections::HashMap;
 const NAMED_MAX: usize = 100;
 
 /// A weighing's row that does not match the record.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChangedRow {
     /// The weighing.
     pub weighing: String,

@@ -1,12 +1,14 @@
 //! `/v1/audit`: the record of everything that happened on the bench.
 
+use super::answer;
 use super::extract::Query;
 use super::list::{ListParams, respond};
 use super::{csv_pieces, pieces};
 use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
+use crate::api::wire::{Answer, AuditRecord, AuditVerification, Page};
 use crate::app;
-use crate::app::{AUDIT_CSV_HEADER, App, AuditRecord, AuditVerification, Page, audit_csv};
+use crate::app::{AUDIT_CSV_HEADER, App, audit_csv};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::header;
@@ -68,7 +70,7 @@ pub async fn verify_audit(
     State(app): State<App>,
     Query(params): Query<VerifyParams>,
 ) -> Result<Json<AuditVerification>, Problem> {
-    Ok(Json(app.verify_audit(params.hash.as_deref()).await?))
+    Ok(answer(app.verify_audit(params.hash.as_deref()).await?))
 }
 
 /// Download the audit trail, oldest first.
@@ -81,15 +83,18 @@ pub async fn export_audit(
 ) -> Result<Response, Problem> {
     let batches = app.audit_trail(params.weighing).enumerate();
     let begun =
-        batches.map(|(k, batch)| Ok(format!("{}{}", ["[", ","][k.min(1)], json_items(&batch?)?)));
+        batches.map(|(k, batch)| Ok(format!("{}{}", ["[", ","][k.min(1)], json_items(batch?)?)));
     let document = begun.chain(stream::once(async { Ok("]".to_owned()) }));
     Ok(([(header::CONTENT_TYPE, "application/json")], pieces(document.boxed()).await?)
         .into_response())
 }
 
 /// Records as JSON, separated by commas.
-fn json_items(records: &[AuditRecord]) -> app::Result<String> {
-    let items = records.iter().map(serde_json::to_string).collect::<Result<Vec<_>, _>>();
+fn json_items(records: Vec<app::AuditRecord>) -> app::Result<String> {
+    let items = records
+        .into_iter()
+        .map(|record| serde_json::to_string(&record.wire()))
+        .collect::<Result<Vec<_>, _>>();
     Ok(items.map_err(|error| app::Error::Internal(error.into()))?.join(","))
 }
 

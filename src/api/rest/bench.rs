@@ -1,12 +1,14 @@
 //! `/v1/bench`: the bench, its latch and its checks.
 
+use super::answer;
 use super::extract::{Input, Path};
 use crate::api::auth::{Clearer, Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::app::{
-    App, BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest, Reservation,
+use crate::api::wire::{
+    BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest, Reservation,
     ReservationRequest, ResumeRequest,
 };
+use crate::app::App;
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -15,7 +17,7 @@ use axum::http::StatusCode;
 #[utoipa::path(get, path = "/v1/bench", tag = "bench",
     responses((status = 200, description = "The bench", body = BenchStatus)))]
 pub async fn get_bench(_: Viewer, State(app): State<App>) -> Result<Json<BenchStatus>, Problem> {
-    Ok(Json(app.bench().await?))
+    Ok(answer(app.bench().await?))
 }
 
 /// Stop all motion, and start nothing until a person resumes.
@@ -26,7 +28,7 @@ pub async fn get_bench(_: Viewer, State(app): State<App>) -> Result<Json<BenchSt
 #[utoipa::path(post, path = "/v1/bench/stop", tag = "bench",
     responses((status = 200, description = "The bench", body = BenchStatus)))]
 pub async fn stop_bench(_: Operator, State(app): State<App>) -> Result<Json<BenchStatus>, Problem> {
-    Ok(Json(app.stop_bench().await?))
+    Ok(answer(app.stop_bench().await?))
 }
 
 /// Let weighings start again after a stop.
@@ -40,7 +42,7 @@ pub async fn resume_bench(
     State(app): State<App>,
     Input(request): Input<ResumeRequest>,
 ) -> Result<Json<BenchStatus>, Problem> {
-    Ok(Json(app.resume_bench(request).await?))
+    Ok(answer(app.resume_bench(request).await?))
 }
 
 /// Clear a latched bench.
@@ -58,7 +60,7 @@ pub async fn clear_bench(
     State(app): State<App>,
     Input(request): Input<ClearRequest>,
 ) -> Result<Json<BenchStatus>, Problem> {
-    Ok(Json(app.clear_bench(request).await?))
+    Ok(answer(app.clear_bench(request).await?))
 }
 
 /// Reserve the bench for a limited time.
@@ -73,7 +75,7 @@ pub async fn reserve_bench(
     State(app): State<App>,
     Input(request): Input<ReservationRequest>,
 ) -> Result<(StatusCode, Json<Reservation>), Problem> {
-    Ok((StatusCode::CREATED, Json(app.reserve_bench(request).await?)))
+    Ok((StatusCode::CREATED, answer(app.reserve_bench(request).await?)))
 }
 
 /// Release the bench before the reservation ends.
@@ -86,7 +88,7 @@ pub async fn release_bench(
     Path(id): Path<String>,
 ) -> Result<Json<BenchStatus>, Problem> {
     app.release_bench(&id).await?;
-    Ok(Json(app.bench().await?))
+    Ok(answer(app.bench().await?))
 }
 
 /// Record a repeatability check: ten or more weighings of one test weight.
@@ -100,5 +102,5 @@ pub async fn check_repeatability(
     State(app): State<App>,
     Input(request): Input<RepeatabilityRequest>,
 ) -> Result<Json<Repeatability>, Problem> {
-    Ok(Json(app.check_repeatability(request).await?))
+    Ok(answer(app.check_repeatability(request).await?))
 }

@@ -1,12 +1,13 @@
 //! `/v1/calibrations`: from a measured angle of repose to parameter sets.
 
+use super::answer;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, SeriesParams, respond};
 use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
+use crate::api::wire::{Calibration, CalibrationRequest, Comparison, Job, Page, Posterior, Trial};
 use crate::app::App;
-use crate::app::{Calibration, CalibrationRequest, Comparison, Job, Page, Posterior, Trial};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -48,7 +49,7 @@ pub async fn get_calibration(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<Calibration>, Problem> {
-    Ok(Json(app.calibration(&id).await?))
+    Ok(answer(app.calibration(&id).await?))
 }
 
 /// The posterior over the nine parameters.
@@ -65,7 +66,7 @@ pub async fn get_posterior(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<Posterior>, Problem> {
-    Ok(Json(app.posterior(&id).await?))
+    Ok(answer(app.posterior(&id).await?))
 }
 
 /// The calibration to compare with.
@@ -95,7 +96,7 @@ pub async fn compare_calibrations(
     Path(id): Path<String>,
     Query(params): Query<CompareParams>,
 ) -> Result<Json<Comparison>, Problem> {
-    Ok(Json(app.compare_calibrations(&id, &params.with).await?))
+    Ok(answer(app.compare_calibrations(&id, &params.with).await?))
 }
 
 /// List the trials of a calibration in order, even while it runs.

@@ -1,13 +1,14 @@
 //! `/v1/evaluations`: a policy's errors on the simulated bench, compared with those of simple
 //! controllers.
 
+use super::answer;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
 use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
+use crate::api::wire::{Evaluation, EvaluationRequest, Job, Page};
 use crate::app::App;
-use crate::app::{Evaluation, EvaluationRequest, Job, Page};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -48,5 +49,5 @@ pub async fn get_evaluation(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<Evaluation>, Problem> {
-    Ok(Json(app.evaluation(&id).await?))
+    Ok(answer(app.evaluation(&id).await?))
 }

@@ -9,8 +9,9 @@
 use super::extract::{Path, Query};
 use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
-use crate::app::App;
-use crate::app::{Error, Event, Topic};
+use crate::api::wire::{Answer, Event};
+use crate::app::{self, App};
+use crate::app::{Error, Topic};
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{self, KeepAlive, Sse};
@@ -120,7 +121,7 @@ pub async fn watch_weighing(
     follow(app.events(Topic::Weighing(id), after).await?, ended).await
 }
 
-type Events = BoxStream<'static, crate::app::Result<Event>>;
+type Events = BoxStream<'static, app::Result<app::Event>>;
 
 /// The stream, or 204 if its subject has `ended` and there are no events left.
 async fn follow(mut events: Events, ended: bool) -> Result<Response, Problem> {
@@ -142,7 +143,10 @@ fn live(events: Events) -> Response {
     Sse::new(events.map(frame)).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)).into_response()
 }
 
-fn frame(event: crate::app::Result<Event>) -> Result<sse::Event, axum::BoxError> {
+fn frame(event: app::Result<app::Event>) -> Result<sse::Event, axum::BoxError> {
     let event = event.inspect_err(|error| tracing::warn!(%error, "an event stream broke off"))?;
-    Ok(sse::Event::default().id(event.seq.to_string()).event(&event.kind).json_data(&event)?)
+    Ok(sse::Event::default()
+        .id(event.seq.to_string())
+        .event(event.kind.clone())
+        .json_data(event.wire())?)
 }

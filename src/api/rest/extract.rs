@@ -1,6 +1,7 @@
 //! Axum extractors whose errors name the field.
 
 use crate::api::problem::Problem;
+use crate::api::wire;
 use crate::app::table_text;
 use axum::body::Bytes;
 use axum::extract::rejection::QueryRejection;
@@ -28,27 +29,27 @@ pub fn bytes_max(path: &str) -> usize {
     if is_large { LARGE_BYTES_MAX } else { BODY_BYTES_MAX }
 }
 
-/// A JSON body.
-#[derive(Debug)]
-pub struct Input<T>(pub T);
+/// What a JSON body asks for.
+pub struct Input<T: wire::Request>(pub T::Means);
 
-impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Input<T> {
+impl<T: DeserializeOwned + wire::Request, S: Send + Sync> FromRequest<S> for Input<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        parse(&body(request, state, "application/json", BODY_BYTES_MAX).await?).map(Self)
+        let body = body(request, state, "application/json", BODY_BYTES_MAX).await?;
+        Ok(Self(parse::<T>(&body)?.means()))
     }
 }
 
-/// A JSON body that holds images or tables.
-#[derive(Debug)]
-pub struct Large<T>(pub T);
+/// What a JSON body that holds images or tables asks for.
+pub struct Large<T: wire::Request>(pub T::Means);
 
-impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Large<T> {
+impl<T: DeserializeOwned + wire::Request, S: Send + Sync> FromRequest<S> for Large<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        parse(&body(request, state, "application/json", LARGE_BYTES_MAX).await?).map(Self)
+        let body = body(request, state, "application/json", LARGE_BYTES_MAX).await?;
+        Ok(Self(parse::<T>(&body)?.means()))
     }
 }
 

@@ -1,13 +1,15 @@
 //! `/v1/investigations`: what measured angles reveal that the calibrated simulator does not
 //! reproduce.
 
+use super::answer;
 use super::extract::{Large, Path, Query};
 use super::list::{ListParams, respond};
 use super::{csv_file, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
+use crate::api::wire::{Investigation, InvestigationRequest, Job, Page};
 use crate::app::App;
-use crate::app::{Investigation, InvestigationRequest, Job, Page, document, report_html};
+use crate::app::{document, report_html};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::header;
@@ -48,7 +50,7 @@ pub async fn get_investigation(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<Investigation>, Problem> {
-    Ok(Json(app.investigation(&id).await?))
+    Ok(answer(app.investigation(&id).await?))
 }
 
 /// Download the angle of every row of the file, before and after the extension of the simulator.

@@ -1,16 +1,17 @@
 //! `/v1/jobs`: long computations of every kind.
 
 use super::accepted;
+use super::answer;
 use super::extract::{Path, Query};
 use super::list::respond;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
+use crate::api::wire::{Job, JobKind, JobState, Page, Request};
 use crate::app::App;
-use crate::app::{Job, Page, PageQuery};
+use crate::app::PageQuery;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
-use flip_core::domain::job::{JobKind, JobState};
 use serde::Deserialize;
 
 /// Selection of jobs.
@@ -41,7 +42,7 @@ pub async fn list_jobs(
     Query(params): Query<JobParams>,
 ) -> Result<Response, Problem> {
     let page = PageQuery { limit: params.limit, after: params.after };
-    Ok(respond(&uri, app.jobs(params.kind, params.state, page).await?))
+    Ok(respond(&uri, app.jobs(params.kind.means(), params.state.means(), page).await?))
 }
 
 /// One job.
@@ -52,7 +53,7 @@ pub async fn get_job(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<Job>, Problem> {
-    Ok(Json(app.job(&id).await?))
+    Ok(answer(app.job(&id).await?))
 }
 
 /// Cancel a job.

@@ -1,8 +1,8 @@
 //! Paginated lists: `?limit=&after=` in, `{items, next}` and a `Link` header out.
 
-use crate::app::Page;
-use crate::app::PageQuery;
-use axum::Json;
+use super::answer;
+use crate::api::wire::Answer;
+use crate::app::{Page, PageQuery};
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -44,13 +44,13 @@ impl From<SeriesParams> for PageQuery {
 }
 
 /// A page, with `Link: <…>; rel="next"` when another follows.
-pub fn respond<T: Serialize>(uri: &Uri, page: Page<T>) -> Response {
+pub fn respond<T: Answer<Wire: Serialize>>(uri: &Uri, page: Page<T>) -> Response {
     let mut headers = HeaderMap::new();
     let link = page.next.as_deref().map(|next| link(uri, next));
     if let Some(link) = link.and_then(|link| HeaderValue::from_str(&link).ok()) {
         headers.insert(header::LINK, link);
     }
-    (headers, Json(page)).into_response()
+    (headers, answer(page)).into_response()
 }
 
 fn link(uri: &Uri, next: &str) -> String {

@@ -1,14 +1,16 @@
 //! Measurements of powders: `/v1/powders/{id}/measurements`, `/v1/powders/{id}/observations`, and
 //! both as CSV.
 
+use super::answer;
 use super::extract::{Csv, Input, Path, Query};
 use super::list::{ListParams, respond};
 use super::{created, csv_pieces};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
+use crate::api::wire::{
+    Imported, Measurement, NewMeasurement, NewObservation, Page, PowderObservation,
+};
 use crate::app::App;
-use crate::app::{Imported, Measurement, NewMeasurement, NewObservation, Page, PowderObservation};
-use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
@@ -108,7 +110,7 @@ pub async fn import_measurements(
     Query(params): Query<ImportParams>,
     Csv(text): Csv,
 ) -> Result<Response, Problem> {
-    Ok((StatusCode::CREATED, Json(app.import_measurements(&text, params.create).await?))
+    Ok((StatusCode::CREATED, answer(app.import_measurements(&text, params.create).await?))
         .into_response())
 }
 

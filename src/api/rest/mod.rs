@@ -22,6 +22,7 @@ mod trainings;
 mod weighings;
 
 use super::problem::Problem;
+use super::wire::Answer;
 use crate::app;
 use crate::app::App;
 use axum::body::Body;
@@ -32,6 +33,7 @@ use axum::routing::{get, post};
 use axum::{Json, Router};
 use futures::stream::{self, BoxStream};
 use futures::{StreamExt, TryStreamExt};
+use serde::Serialize;
 use tower::limit::GlobalConcurrencyLimitLayer;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
@@ -174,14 +176,19 @@ async fn pieces(mut text: BoxStream<'static, app::Result<String>>) -> Result<Bod
     Ok(Body::from_stream(stream::iter(first.map(Ok)).chain(rest)))
 }
 
+/// What an answer is made from, as JSON.
+fn answer<T: Answer>(body: T) -> Json<T::Wire> {
+    Json(body.wire())
+}
+
 /// 202 for accepted work, with its location.
-fn accepted(location: String, body: impl serde::Serialize) -> Response {
-    (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(body)).into_response()
+fn accepted(location: String, body: impl Answer<Wire: Serialize>) -> Response {
+    (StatusCode::ACCEPTED, [(header::LOCATION, location)], answer(body)).into_response()
 }
 
 /// 201 for a new resource, with its location.
-fn created(location: String, body: impl serde::Serialize) -> Response {
-    (StatusCode::CREATED, [(header::LOCATION, location)], Json(body)).into_response()
+fn created(location: String, body: impl Answer<Wire: Serialize>) -> Response {
+    (StatusCode::CREATED, [(header::LOCATION, location)], answer(body)).into_response()
 }
 
 /// The response to a request for long work: 202 if it was queued, 200 with the existing job
@@ -189,6 +196,6 @@ fn created(location: String, body: impl serde::Serialize) -> Response {
 fn started(resource: &str, (job, created): (crate::app::Job, bool)) -> Response {
     match created {
         true => accepted(format!("/v1/{resource}/{}", job.id), job),
-        false => Json(job).into_response(),
+        false => answer(job).into_response(),
     }
 }

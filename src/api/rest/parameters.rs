@@ -1,23 +1,25 @@
 //! `/v1/parameters` and `/v1/parameter-sets`: the parameters of a simulated powder, and the sets
 //! found by calibrations.
 
+use super::answer;
 use super::extract::{Path, Query};
 use super::list::respond;
 use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
+use crate::api::wire::{Answer, CalibratedSet, Page, Parameter};
 use crate::app::App;
-use crate::app::{CalibratedSet, Page, PageQuery};
+use crate::app::PageQuery;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
-use flip_core::domain::parameters::{PARAMETERS, Parameter};
+use flip_core::domain::parameters::PARAMETERS;
 use serde::Deserialize;
 
 /// The nine parameters of a simulated powder, with their published bounds.
 #[utoipa::path(get, path = "/v1/parameters", tag = "parameters",
     responses((status = 200, description = "The nine parameters, in canonical order", body = Page<Parameter>)))]
 pub async fn list_parameters(_: Viewer) -> Json<Page<Parameter>> {
-    Json(Page { items: PARAMETERS.to_vec(), next: None })
+    Json(Page { items: PARAMETERS.to_vec().wire(), next: None })
 }
 
 /// Selection of parameter sets.
@@ -56,5 +58,5 @@ pub async fn get_parameter_set(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<CalibratedSet>, Problem> {
-    Ok(Json(app.parameter_set(&id).await?))
+    Ok(answer(app.parameter_set(&id).await?))
 }

@@ -1,11 +1,12 @@
 //! `/v1/policies`: trained policies, and their files.
 
+use super::answer;
 use super::extract::{Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
+use crate::api::wire::{Page, Policy};
 use crate::app::App;
-use crate::app::{Page, Policy};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::header;
@@ -35,7 +36,7 @@ pub async fn get_policy(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<Policy>, Problem> {
-    Ok(Json(app.policy(&id).await?))
+    Ok(answer(app.policy(&id).await?))
 }
 
 /// Download a policy's manifest.

@@ -1,12 +1,13 @@
 //! `/v1/powders`: real powders and their measured flowability.
 
+use super::answer;
 use super::created;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
+use crate::api::wire::{NewPowder, Page, Powder, PowderDetail};
 use crate::app::App;
-use crate::app::{NewPowder, Page, Powder, PowderDetail};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -45,5 +46,5 @@ pub async fn get_powder(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<PowderDetail>, Problem> {
-    Ok(Json(app.powder(&id).await?))
+    Ok(answer(app.powder(&id).await?))
 }

@@ -1,16 +1,16 @@
 //! `/v1/repose-measurements`: angles of repose by camera; `/v1/measurements/comparison`: automated
 //! and manual measurements compared.
 
+use super::answer;
 use super::extract::{Input, Large, Path, Query};
 use super::list::{ListParams, respond};
 use super::{accepted, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::app::{
-    App, Awaited, Compared, FrameUpload, Job, Page, ReposeMeasurement, ReposeRequest,
-};
+use crate::api::wire::{Awaited, Compared, Job, Page, ReposeMeasurement, ReposeRequest, Request};
+use crate::app::{App, FrameUpload};
 use axum::Json;
-use axum::extract::{FromRequest, OriginalUri, Request, State};
+use axum::extract::{self, FromRequest, OriginalUri, State};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
@@ -35,8 +35,9 @@ pub struct NewFrame {
     description: serde_json::Value,
 }
 
-impl NewFrame {
-    fn upload(self) -> Result<FrameUpload, FieldError> {
+impl Request for NewFrame {
+    type Means = Result<FrameUpload, FieldError>;
+    fn means(self) -> Self::Means {
         let bytes = |field: &str, text: &str| {
             STANDARD
                 .decode(text)
@@ -90,7 +91,7 @@ pub async fn get_repose_measurement(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<ReposeMeasurement>, Problem> {
-    Ok(Json(app.repose(&id).await?))
+    Ok(answer(app.repose(&id).await?))
 }
 
 /// Upload a frame of the pile that is waiting for frames; at most 16 MiB.
@@ -103,11 +104,11 @@ pub async fn add_frame(
     _: Operator,
     State(app): State<App>,
     Path(id): Path<String>,
-    request: Request,
+    request: extract::Request,
 ) -> Result<Response, Problem> {
     app.frames_awaited(&id).await?;
     let Large(frame) = Large::<NewFrame>::from_request(request, &app).await?;
-    let awaited = app.add_frame(&id, frame.upload()?).await?;
+    let awaited = app.add_frame(&id, frame?).await?;
     Ok(accepted(format!("/v1/repose-measurements/{id}"), awaited))
 }
 
@@ -139,5 +140,5 @@ pub async fn compare_methods(
     _: Viewer,
     State(app): State<App>,
 ) -> Result<Json<Vec<Compared>>, Problem> {
-    Ok(Json(app.compare_methods().await?))
+    Ok(answer(app.compare_methods().await?))
 }

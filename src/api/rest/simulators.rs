@@ -1,14 +1,15 @@
 //! `/v1/simulators`: simulator versions created by investigations, and which one is current.
 
+use super::answer;
 use super::csv_file;
 use super::extract::{Input, Large, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::app::{
-    App, ChosenSimulator, CurrentSimulator, Page, PredictionRequest, SimulatorVersion,
-    predictions_csv,
+use crate::api::wire::{
+    ChosenSimulator, CurrentSimulator, Page, PredictionRequest, SimulatorVersion,
 };
+use crate::app::{App, predictions_csv};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -34,7 +35,7 @@ pub async fn get_simulator(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<SimulatorVersion>, Problem> {
-    Ok(Json(app.simulator(&id).await?))
+    Ok(answer(app.simulator(&id).await?))
 }
 
 /// The version used where none is named: the base until another is chosen.
@@ -44,7 +45,7 @@ pub async fn get_current_simulator(
     _: Viewer,
     State(app): State<App>,
 ) -> Result<Json<CurrentSimulator>, Problem> {
-    Ok(Json(app.current_simulator().await?))
+    Ok(answer(app.current_simulator().await?))
 }
 
 /// Make a version current, or roll back to another or to the base.
@@ -57,7 +58,7 @@ pub async fn choose_simulator(
     State(app): State<App>,
     Input(chosen): Input<ChosenSimulator>,
 ) -> Result<Json<CurrentSimulator>, Problem> {
-    Ok(Json(app.choose_simulator(&chosen).await?))
+    Ok(answer(app.choose_simulator(&chosen).await?))
 }
 
 /// Predict the angles of unmeasured rows.

@@ -1,10 +1,12 @@
 //! `/v1/tokens`: keys for programs and people.
 
+use super::answer;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::Admin;
 use crate::api::problem::Problem;
-use crate::app::{App, NewToken, Page, TokenEntry};
+use crate::api::wire::{Answer, NewToken, Page, TokenEntry};
+use crate::app::App;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::StatusCode;
@@ -30,7 +32,7 @@ pub async fn create_token(
     Input(new): Input<NewToken>,
 ) -> Result<(StatusCode, Json<Token>), Problem> {
     let (entry, secret) = app.make_token(&new).await?;
-    Ok((StatusCode::CREATED, Json(Token { entry, secret })))
+    Ok((StatusCode::CREATED, Json(Token { entry: entry.wire(), secret })))
 }
 
 /// List tokens, newest first, including ended ones; secrets are never shown.
@@ -56,5 +58,5 @@ pub async fn revoke_token(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<TokenEntry>, Problem> {
-    Ok(Json(app.revoke_token(&id).await?))
+    Ok(answer(app.revoke_token(&id).await?))
 }

@@ -1,12 +1,13 @@
 //! `/v1/trainings`: from parameter sets to a policy.
 
+use super::answer;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, SeriesParams, respond};
 use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
+use crate::api::wire::{Episode, Job, Page, Training, TrainingRequest};
 use crate::app::App;
-use crate::app::{Episode, Job, Page, Training, TrainingRequest};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -47,7 +48,7 @@ pub async fn get_training(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<Training>, Problem> {
-    Ok(Json(app.training(&id).await?))
+    Ok(answer(app.training(&id).await?))
 }
 
 /// List the episodes of a training in order, even while it runs.

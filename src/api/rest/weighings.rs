@@ -1,17 +1,18 @@
 //! `/v1/weighings`: doses of powder.
 
 use super::accepted;
+use super::answer;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
+use crate::api::wire::{Page, Tick, VialReadyRequest, Weighing, WeighingDetail, WeighingRequest};
 use crate::app::{App, document};
-use crate::app::{Page, VialReadyRequest, Weighing, WeighingDetail, WeighingRequest};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{Html, IntoResponse, Response};
-use flip_core::domain::bench::Tick;
+use flip_core::domain::bench;
 use std::fmt::Write;
 
 /// List weighings, newest first.
@@ -65,7 +66,7 @@ pub async fn get_weighing(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<WeighingDetail>, Problem> {
-    Ok(Json(app.weighing(&id).await?))
+    Ok(answer(app.weighing(&id).await?))
 }
 
 /// The ticks of a weighing: the actions of the bench and the balance readings.
@@ -78,7 +79,7 @@ pub async fn get_trace(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Json<Vec<Tick>>, Problem> {
-    Ok(Json(app.trace(&id).await?))
+    Ok(answer(app.trace(&id).await?))
 }
 
 /// Download the ticks of a weighing as CSV.
@@ -100,9 +101,9 @@ pub async fn download_trace(
 }
 
 /// Numbers as in JSON, so that both forms of a trace have the same digits.
-fn csv(ticks: &[Tick]) -> String {
+fn csv(ticks: &[bench::Tick]) -> String {
     let mut text = String::from("step,t_s,pitch_deg,incline_change_deg,shake_mm,mass_mg,stable\n");
-    for Tick { step, t_s, pitch_deg, action, reading } in ticks {
+    for bench::Tick { step, t_s, pitch_deg, action, reading } in ticks {
         let _infallible = writeln!(
             text,
             "{step},{t_s},{pitch_deg},{},{},{},{}",
@@ -143,7 +144,7 @@ pub async fn vial_ready(
     Path(id): Path<String>,
     Input(request): Input<VialReadyRequest>,
 ) -> Result<Json<Weighing>, Problem> {
-    Ok(Json(app.vial_ready(&id, request).await?))
+    Ok(answer(app.vial_ready(&id, request).await?))
 }
 
 /// Stop a weighing and level the spoon.
@@ -172,7 +173,7 @@ mod tests {
     #[test]
     fn the_csv_of_a_trace_holds_the_digits_of_its_json() {
         let action = Action { incline_change_deg: -0.1, shake_mm: 8.0 };
-        let tick = Tick {
+        let tick = bench::Tick {
             step: 1,
             t_s: 0.3,
             pitch_deg: 20.5,

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use time::{Date, Month};
 
 /// Order of day, month and year in a date such as 2/3/2026.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DateOrder {
     /// 2 March.

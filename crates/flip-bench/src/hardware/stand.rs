@@ -20,7 +20,7 @@ const ASK_EVERY_S: f64 = 0.1;
 const TRAVEL_S: f64 = 10.0;
 
 /// How piles are made and imaged.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Procedure {
     /// Number of piles, 1 to 20. Default 5, as published.

@@ -15,7 +15,7 @@ pub struct Stored {
 }
 
 /// One powder measured both ways.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Compared {
     /// Powder id.
     pub powder: String,

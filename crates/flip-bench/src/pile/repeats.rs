@@ -6,7 +6,7 @@ use flip_core::domain::powder::Flowability;
 use serde::{Deserialize, Serialize};
 
 /// Repeats of one powder, a pile each.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Repeats {
     /// From the apex: mean, standard deviation and number of repeats.
     pub tip: Flowability,

@@ -4,7 +4,7 @@ use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// How lengths seen by the camera are scaled to true lengths.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Lengths {
     /// By the depth unit stated in the frames, as published. A scale error of 1 % is an error of
@@ -17,9 +17,8 @@ pub enum Lengths {
 }
 
 /// The rig, measured with a ruler or calipers.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-#[schema(as = Rig)]
 pub struct Dimensions {
     /// D: height of the funnel's tip over the top of the base, 10 to 500 mm. Default 60.
     pub tip_height_mm: f64,
@@ -82,7 +81,7 @@ impl Dimensions {
 }
 
 /// Requirements on the frames.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
     /// Minimum number of frames, 3 to 100. Default 10, as published.

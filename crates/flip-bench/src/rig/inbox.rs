@@ -26,9 +26,7 @@ struct Waiting {
 }
 
 /// The pile waiting for frames, and how many it has and needs.
-#[derive(
-    Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Awaited {
     /// Which pile, from 1.
     pub pile: u32,

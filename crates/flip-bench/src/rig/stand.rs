@@ -68,7 +68,7 @@ enum Place {
 }
 
 /// A pile that is being made.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PileInMaking {
     /// The measurement, by its job id.
     pub job: String,

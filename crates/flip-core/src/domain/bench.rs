@@ -4,7 +4,7 @@ use super::rest::Rest;
 use serde::{Deserialize, Serialize};
 
 /// The devices behind a bench.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BenchKind {
     /// The simulator, called directly.
@@ -30,7 +30,7 @@ pub const SHAKE_MM_MIN: f64 = 0.9;
 pub const INCLINE_CHANGE_DEG_MAX: f64 = 8.0;
 
 /// What a policy proposes for one step: first incline, then shake.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Action {
     /// Change of the spoon's pitch, degrees; positive is tip down; -8 to 8.
     pub incline_change_deg: f64,
@@ -60,7 +60,7 @@ impl Action {
 }
 
 /// One reading of the balance.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
     /// Net mass shown, mg; a multiple of the readability.
     pub mass_mg: f64,
@@ -69,7 +69,7 @@ pub struct Reading {
 }
 
 /// One step of a weighing: the action and the balance reading after it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Tick {
     /// Step number; 0 is the reading after the tare, before any motion.
     pub step: u32,

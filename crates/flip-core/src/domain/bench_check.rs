@@ -20,7 +20,7 @@ pub enum CheckKind {
 pub const REPEATABILITY_N_MIN: usize = 10;
 
 /// Result of a repeatability check.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Repeatability {
     /// The readings, mg.
     pub readings_mg: Vec<f64>,

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 /// A recorded condition: a number in the unit given by the suffix of its name, or a name.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Condition {
     /// A number, for example `relative_humidity_pct`.
@@ -35,7 +35,7 @@ impl fmt::Display for Condition {
 }
 
 /// An extended simulator version, and the conditions it simulates.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Under {
     /// Version, `sv-…`.
     pub simulator: String,
@@ -47,7 +47,7 @@ pub struct Under {
 
 /// Changes that conditions make to a simulated powder and its experiments. None by default: the
 /// base simulator, bit for bit.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Patch {
     /// Amplitudes of mechanisms not in the base simulator, by name.

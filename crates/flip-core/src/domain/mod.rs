@@ -21,15 +21,7 @@ pub mod weighing;
 /// A rejected input field: which field, what was expected, what to do.
 ///
 /// Every layer that rejects an input reports it with this type; the API turns it into problem+json.
-#[derive(
-    Debug,
-    Clone,
-    PartialEq,
-    thiserror::Error,
-    serde::Serialize,
-    serde::Deserialize,
-    utoipa::ToSchema,
-)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error, serde::Serialize, serde::Deserialize)]
 #[error("{field}: {message}")]
 pub struct FieldError {
     /// Path of the field as the caller wrote it, e.g. `target.value`.

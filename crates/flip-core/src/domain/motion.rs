@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Limits of a straight move.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionLimits {
     /// Maximum speed, m/s.

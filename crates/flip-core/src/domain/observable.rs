@@ -4,7 +4,7 @@ use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// A quantity measured in an experiment, with the experiment's settings.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Observable {
     /// Time for a mass to run out of a flat-bottomed cup through a round hole, s. A Hall flow meter
@@ -37,7 +37,7 @@ pub enum Observable {
 
 /// A measured quantity: the mean of `n` repeats and their standard deviation, in the quantity's
 /// unit.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Observation {
     /// What was measured.

@@ -6,7 +6,7 @@ use sha2::{Digest, Sha256};
 
 /// One of the nine parameters: key, unit, published bounds, default and what it does in FLIP's
 /// simulator.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Parameter {
     /// Key in JSON, in the database and (with dashes) on the command line.
     pub key: &'static str,
@@ -103,9 +103,8 @@ pub const PARAMETERS: [Parameter; COUNT] = [
 
 /// The simulated twin of a powder: one value for each of the nine parameters, each within its
 /// published bounds.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Values", into = "Values")]
-#[schema(as = ParameterSetValues)]
 pub struct ParameterSet {
     /// Grain diameter, mm.
     particle_diameter_mm: f64,

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// An angle and its uncertainty.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Angle {
     /// Degrees.
     pub deg: f64,
@@ -15,8 +15,7 @@ pub struct Angle {
 }
 
 /// Measurements of a pile in the frames.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = PileMeasurement)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Measurement {
     /// atan(2 h / d_base), from the apex.
     pub tip: Angle,

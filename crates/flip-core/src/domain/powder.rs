@@ -4,7 +4,7 @@ use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// How an angle of repose was measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
     /// By camera: funnel tip and pile apex located in depth images.
@@ -24,7 +24,7 @@ impl Method {
 }
 
 /// A measured angle of repose: the mean of `n` repeats and their standard deviation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Flowability {
     /// Mean angle of repose, degrees.
     pub repose_deg: f64,

@@ -4,7 +4,7 @@ use super::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// Who fills the spoon.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FilledBy {
     /// The arm, from the powder's container, if it reports that it can.
@@ -15,7 +15,7 @@ pub enum FilledBy {
 }
 
 /// A spoon. Omitted values are those of FLIP's own spoon, which holds about 40 mg.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Spoon {
     /// Mass of one filling, mg, 1 to 100000; if omitted, the capacity of a bowl of these dimensions

@@ -25,7 +25,7 @@ const ALIKE_MG: f64 = 5.0;
 
 /// Whether a person must confirm that the vial is in place before a dose starts, on a bench that
 /// cannot exchange vials.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VialCheck {
     /// A person confirms, and the balance checks that the vial is a new one and empty.
@@ -75,7 +75,7 @@ impl EmptyVial {
 }
 
 /// The vial on the pan, as far as is known.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Vial {
     /// Its name, if one was given.
     pub name: Option<String>,

@@ -35,7 +35,7 @@ pub struct WeighRequest {
 }
 
 /// What to do after an overdose, which cannot be undone.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "action", rename_all = "snake_case", deny_unknown_fields)]
 pub enum OnOverdose {
     /// Report it and stop.
@@ -50,7 +50,7 @@ pub enum OnOverdose {
 }
 
 /// Purpose and conditions of a weighing, besides the mass.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
     /// Lot of the powder.
@@ -85,7 +85,7 @@ impl Asked {
 }
 
 /// Measured values of a weighing, besides its final reading.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MeasuredMass {
     /// Mass of the vial, mg; absent if the balance does not report it.
     pub tare_mg: Option<f64>,
@@ -129,7 +129,7 @@ pub struct MeasuredMass {
 }
 
 /// How a weighing ended, under the API's names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// Within tolerance by the reading. Never used if nothing was poured.
@@ -151,7 +151,7 @@ pub enum Outcome {
 }
 
 /// State of a weighing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WeighingState {
     /// Accepted and stored; waiting for the bench.

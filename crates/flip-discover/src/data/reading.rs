@@ -1,11 +1,10 @@
 //! How files were read: the role of each column, what was missing, which rows were left out.
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 /// How a file was read. Two files with the same content in different formats (separators, decimal
 /// signs, dates) are read the same.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FileRead {
     /// `measurements` or `traces`.
     pub file: String,
@@ -25,7 +24,7 @@ pub struct FileRead {
 }
 
 /// How a column was read.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ColumnRead {
     /// Its name.
     pub column: String,
@@ -41,7 +40,7 @@ pub struct ColumnRead {
 }
 
 /// The role of a column.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TakenAs {
     /// Names of things: powders, weighings.
@@ -59,7 +58,7 @@ pub enum TakenAs {
 }
 
 /// A powder given by name.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NamedPowder {
     /// The name as written.
     pub name: String,
@@ -68,7 +67,7 @@ pub struct NamedPowder {
 }
 
 /// Rows that were left out.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeftOut {
     /// Rows of the file, the header being row 1.
     pub rows: Vec<u32>,

@@ -3,7 +3,7 @@
 use super::*;
 
 /// Gain from an extension.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Gain {
     /// Days left out in turn: the number that decides.
     pub held_out: HeldOut,
@@ -22,7 +22,7 @@ pub struct Gain {
 }
 
 /// Errors on what was left out.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HeldOut {
     /// Root mean square error of the simulator as it was.
     pub rmse_before: f64,
@@ -37,7 +37,7 @@ pub struct HeldOut {
 }
 
 /// Log scores.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LogScore {
     /// Nats a run.
     pub before: f64,
@@ -48,7 +48,7 @@ pub struct LogScore {
 }
 
 /// Coverage of 90 % intervals.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Coverage {
     /// Coverage of the simulator as it was.
     pub before: f64,
@@ -57,7 +57,7 @@ pub struct Coverage {
 }
 
 /// Mean absolute errors of weighings, mg.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WeighingGain {
     /// Policy of the simulator as it was.
     pub before: f64,

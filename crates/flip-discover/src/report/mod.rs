@@ -13,13 +13,12 @@ pub use gain::{Coverage, Gain, HeldOut, LogScore, WeighingGain};
 pub use null_check::NullCheck;
 pub use numerics::{Dependence, FitSet, Numerics, Varied};
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 /// Version of the document; readers refuse versions they do not know.
 pub const SCHEMA_VERSION: u32 = 1;
 
 /// What an investigation found.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// 1.
     pub schema_version: u32,
@@ -143,7 +142,7 @@ impl Report {
 }
 
 /// Whether anything is wrong, and whether it has a name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Nothing shown.
@@ -160,7 +159,7 @@ pub enum Verdict {
 }
 
 /// A departure of measured angles, or of balance readings, from the simulator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
     /// What departs.
     pub channel: Channel,
@@ -189,7 +188,7 @@ pub struct Finding {
 }
 
 /// An effect on one powder.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PowderEffect {
     /// Powder id.
     pub powder: String,
@@ -200,7 +199,7 @@ pub struct PowderEffect {
 }
 
 /// A cause of the catalogue.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CauseReport {
     /// Name.
     pub mechanism: String,
@@ -218,7 +217,7 @@ pub struct CauseReport {
 }
 
 /// A fitted number.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ParameterReport {
     /// Name.
     pub name: String,
@@ -231,7 +230,7 @@ pub struct ParameterReport {
 }
 
 /// A departure without a cause.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Unexplained {
     /// The covariate it depends on; absent if no recorded one explains it.
     pub covariate: Option<String>,
@@ -242,7 +241,7 @@ pub struct Unexplained {
 }
 
 /// Kinds of law.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FormClass {
     /// a + b x.
@@ -274,7 +273,7 @@ impl FormClass {
 }
 
 /// An experiment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Experiment {
     /// What to do, in plain words.
     pub what: String,
@@ -291,7 +290,7 @@ pub struct Experiment {
 }
 
 /// Versions of the simulator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SimulatorVersions {
     /// The version that was judged.
     pub base: String,
@@ -302,7 +301,7 @@ pub struct SimulatorVersions {
 }
 
 /// The effect a design would find in four of five campaigns.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Detectable {
     /// Cause.
     pub mechanism: String,
@@ -313,7 +312,7 @@ pub struct Detectable {
 }
 
 /// How well a cause explains the data.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
     /// `unknown: <covariate>` is a smooth function of a covariate; `unrecorded` a wander over the
     /// sessions; `wander` one of balance readings within weighings.
@@ -327,7 +326,7 @@ pub struct Evidence {
 }
 
 /// A cause the data cannot judge.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct UntestableReport {
     /// Name.
     pub mechanism: String,
@@ -336,7 +335,7 @@ pub struct UntestableReport {
 }
 
 /// A column that is not a condition.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ColumnLeftOut {
     /// The column's name.
     pub column: String,
@@ -345,7 +344,7 @@ pub struct ColumnLeftOut {
 }
 
 /// Balance readings, judged by themselves.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TraceChannel {
     /// Whether anything is wrong with the simulated bench, and whether it has a name.
     pub verdict: Verdict,
@@ -369,7 +368,7 @@ pub struct TraceChannel {
 }
 
 /// A quantity measured alongside the angle, judged by itself.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SideChannel {
     /// `flow_time`, or `scatter`: not predicted by the simulator, so it never affects the verdict.
     pub channel: Channel,
@@ -391,7 +390,7 @@ pub struct SideChannel {
 }
 
 /// A row of the file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Row of the file, the header being row 1.
     pub row: u32,
@@ -410,7 +409,7 @@ pub struct Row {
 }
 
 /// Residuals over a covariate.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Curve {
     /// The covariate's name.
     pub covariate: String,

@@ -1,10 +1,9 @@
 //! How often as much is found when nothing is wrong.
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 /// Campaigns of the same design with nothing wrong.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NullCheck {
     /// Number of campaigns this one was compared with; 0 where there was nothing to judge.
     pub campaigns: u32,

@@ -1,10 +1,9 @@
 //! Whether simulated angles depend on how they are computed, as a document has it.
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
 /// Defects of the simulator, found without data.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Numerics {
     /// The set whose heaps were poured.
     pub set: FitSet,
@@ -13,7 +12,7 @@ pub struct Numerics {
 }
 
 /// A set of the fit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FitSet {
     /// Powder id.
     pub powder: String,
@@ -24,7 +23,7 @@ pub struct FitSet {
 }
 
 /// The varied setting of the computation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Varied {
     /// Longest wait for rest.
@@ -36,7 +35,7 @@ pub enum Varied {
 }
 
 /// How the angle depends on one setting of the computation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Dependence {
     /// The varied setting.
     pub varied: Varied,

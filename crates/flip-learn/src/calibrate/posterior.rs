@@ -42,7 +42,7 @@ const POINTS: u64 = u64::MAX - 2;
 const TOGETHER: f64 = 0.2;
 
 /// Draws from the posterior, with summaries.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Posterior {
     /// Draws, each the nine values in parameter order.
     pub draws: Vec<[f64; COUNT]>,
@@ -58,7 +58,7 @@ pub struct Posterior {
 }
 
 /// Marginal posterior of one parameter.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Marginal {
     /// Its key.
     pub key: String,
@@ -74,7 +74,7 @@ pub struct Marginal {
 }
 
 /// Two parameters that are known only jointly.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pair {
     /// Their keys.
     pub keys: [String; 2],

@@ -5,9 +5,8 @@ use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// How parameter sets are searched for.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[schema(as = CalibrationMethod)]
 pub enum Method {
     /// Reads sets off one emulator of the angle, shared by all calibrations, and verifies them.
     Emulator,

@@ -7,7 +7,7 @@ use flip_core::domain::seed::derive;
 use serde::{Deserialize, Serialize};
 
 /// Why a simulation ran.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
     /// Finds where the target angle is reached.
@@ -30,7 +30,7 @@ pub struct Pour {
 }
 
 /// One simulated heap.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Heap {
     /// Angle of repose from the apex, atan(2 h / d_base), degrees; the one used in calibration.
     pub tip_deg: f64,
@@ -45,7 +45,7 @@ pub struct Heap {
 }
 
 /// How a simulation ended.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// A heap with an angle.
@@ -93,7 +93,7 @@ pub(super) fn micro(value: f64) -> f64 {
 }
 
 /// One simulation: its inputs and its outcome.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
     /// Index in the history, from 0, counting both phases.
     pub index: u32,
@@ -183,7 +183,7 @@ impl Planned {
 }
 
 /// A verified parameter set.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibratedSet {
     /// The nine values.
     pub parameters: ParameterSet,
@@ -202,7 +202,7 @@ pub struct CalibratedSet {
 }
 
 /// A finished calibration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// The target.
     pub target: Flowability,
@@ -227,7 +227,7 @@ pub struct Calibration {
 }
 
 /// Why a target could not be reached.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Shortfall {
     /// The simulated angle nearest to the target, degrees: the mean of the verification runs if
     /// there are any.

@@ -41,7 +41,7 @@ pub struct Plan {
 }
 
 /// Result of one weighing.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Dose {
     /// True mass in the vial, mg.
     pub dispensed_mg: f64,
@@ -54,8 +54,7 @@ pub struct Dose {
 }
 
 /// One dose of an evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = EvaluationTrial)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
     /// Contender.
     pub controller: String,
@@ -73,8 +72,7 @@ pub struct Trial {
 }
 
 /// Results of one controller for one powder and target.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = EvaluationRow)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Contender.
     pub controller: String,
@@ -101,8 +99,7 @@ pub struct Row {
 }
 
 /// Results of one controller over all its doses.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = EvaluationSummary)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Contender.
     pub controller: String,
@@ -129,7 +126,7 @@ pub struct Summary {
 }
 
 /// The results of an evaluation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
     /// Results by controller, powder and target, in the plan's order.
     pub rows: Vec<Row>,

@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
 /// A level of the curriculum: a powder and its simulated twins.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[schema(as = TrainingLevel)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Level {
     /// Powder id.
     pub powder: String,

@@ -15,7 +15,7 @@ pub const PAPER_LEVELS_DEG: [f64; 3] = [28.0, 33.0, 37.0];
 pub(super) const SURROGATE_EPISODES: u32 = 50;
 
 /// The defaults a training starts from.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
     /// FLIP's own.
@@ -26,7 +26,7 @@ pub enum Preset {
 }
 
 /// How the powder of an episode is chosen.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Order {
     /// From the lowest angle of repose to the highest, advancing when good enough.

@@ -29,7 +29,7 @@ use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
 
 /// Amplitudes of the mechanisms; all zero is the base simulator, bit for bit.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Extensions {
     /// Freedom of grains to rotate: 0 none, 1 as for solid spheres.
