@@ -46,7 +46,7 @@ impl Signs {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Written {
     value: Value,
-    /// Its unit, as named by [`unit`]; none if it has no unit.
+    /// Its unit, as named by [`unit()`]; none if it has no unit.
     pub unit: Option<&'static str>,
 }
 
