@@ -21,7 +21,8 @@ SHELL := /bin/bash
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
-WEB_SOURCES := $(shell find web -name node_modules -prune -o -name dist -prune -o -path web/docs -prune -o -name docs-dist -prune -o -type f -print 2>/dev/null)
+# Without what tests and the build itself write: a page that seems older is built again, and then the service.
+WEB_SOURCES := $(shell find web -name node_modules -prune -o -name dist -prune -o -path web/docs -prune -o -path web/tests -prune -o -name docs-dist -prune -o -name schema.d.ts -prune -o -type f -print 2>/dev/null)
 
 run: setup
 	cargo build --release --locked

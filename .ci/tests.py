@@ -2,9 +2,10 @@
 """Builds and runs every test: `python3 .ci/tests.py [NAME ...]`, only suites whose name contains a NAME if any is given.
 
 Suites that talk to emulated devices, services and a browser within deadlines run one after another. They mostly wait; what
-they leave of the processor goes to the suites that only compute, in lanes of the scheduler's idle class, which gives way at once.
+they leave of the processor goes to the suites that only compute, two at a time in the scheduler's idle class, which gives way at once.
 Every suite's output is in target/test/SUITE.log.
 """
+import concurrent.futures
 import json
 import os
 import pathlib
@@ -21,11 +22,8 @@ LOGS = ROOT / "target/test"
 # Examples are compiled by `make lint`.
 CARGO = ["cargo", "test", "--release", "--locked", "--workspace", "--exclude", "flip-experiments", "--lib", "--bins", "--tests"]
 
-# Suites that compute, in lanes, the longest first. All others are one lane.
-LANES = [
-    ["discovery", "flip_learn", "training"],
-    ["physics", "flip_discover", "flip_sim", "flip_policy", "flip_core"],
-]
+# Suites that only compute, the longest first.
+COMPUTE = ["physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_policy", "flip_core"]
 # A niceness of 19 is not enough: a balance that wakes may then wait for milliseconds.
 IDLE = ["chrt", "--idle", "0"] if shutil.which("chrt") else ["nice", "-n", "19"]
 # Tests that run at a time in a suite in which they mostly wait.
@@ -82,22 +80,21 @@ def main():
     suites = {name: (command, folder) for name, command, folder in built() if not names or any(n in name for n in names)}
     results, speak = {}, threading.Lock()
 
-    def work(lane, prefix=()):
-        for name in lane:
-            command, folder = suites[name]
-            results[name] = status, seconds, used, passed, _ = run(name, [*prefix, *command], folder)
-            with speak:
-                print(f"{name}: {passed} passed" + ("" if status == 0 else ", FAILED") + f", {seconds:.0f} s, {used:.0f} s of a processor", flush=True)
-                if status != 0:
-                    print((LOGS / f"{name}.log").read_text(errors="replace"), flush=True)
+    def work(name, prefix=()):
+        command, folder = suites[name]
+        results[name] = status, seconds, used, passed, _ = run(name, [*prefix, *command], folder)
+        with speak:
+            print(f"{name}: {passed} passed" + ("" if status == 0 else ", FAILED") + f", {seconds:.0f} s, {used:.0f} s of a processor", flush=True)
+            if status != 0:
+                print((LOGS / f"{name}.log").read_text(errors="replace"), flush=True)
 
-    lanes = [[name for name in lane if name in suites] for lane in LANES]
-    threads = [threading.Thread(target=work, args=(lane, IDLE)) for lane in lanes]
-    for thread in threads:
-        thread.start()
-    work([name for name in suites if not any(name in lane for lane in LANES)])
-    for thread in threads:
-        thread.join()
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
+        computing = [pool.submit(work, name, IDLE) for name in COMPUTE if name in suites]
+        for name in suites:
+            if name not in COMPUTE:
+                work(name)
+        for suite in computing:
+            suite.result()
     print(f"the {SLOWEST} slowest tests:")
     for seconds, test in sorted((it for result in results.values() for it in result[4]), reverse=True)[:SLOWEST]:
         print(f"{seconds:7.1f} s  {test}")

@@ -38,8 +38,13 @@ fn silos_empty_and_bear_load_as_beverloo_and_janssen_say() {
 }
 
 #[test]
-fn released_columns_spread_like_sand() {
-    expect(&["collapse_tall", "collapse_low"]);
+fn tall_released_columns_spread_like_sand() {
+    expect(&["collapse_tall"]);
+}
+
+#[test]
+fn low_released_columns_spread_like_sand() {
+    expect(&["collapse_low"]);
 }
 
 #[test]
