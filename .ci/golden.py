@@ -30,7 +30,7 @@ EPOCH = re.compile(r"\b1[7-9]\d{11}\b")
 # Hashes of the audit trail hold times; those of sets and policies (16 and 12 digits in their names) do not.
 CHAIN = re.compile(r"\b[0-9a-f]{64}\b")
 # Measured with a clock.
-CLOCKED = re.compile(r'(\\?"(?:seconds|wall_s)\\?": ?|<dt>Time it took</dt><dd>)[-+.\de]+')
+CLOCKED = re.compile(r'(\\?"(?:seconds|wall_s)\\?": ?|<dt>Run time</dt><dd>)[-+.\de]+')
 
 
 def masked(text, folder):

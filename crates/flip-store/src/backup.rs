@@ -8,10 +8,11 @@
 use super::archive::{self, Archives};
 use super::artifacts::{Artifacts, NAMED, sha256_hex};
 use super::holds::Held;
-use super::open::{DATABASE, archives, artifacts};
+use super::open::{DATABASE, archives, artifacts, connection, copy_database};
 use super::{Error, Result, Store, new_id, now, sound};
 use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
+use sqlx::SqlitePool;
 use std::fs::{self, DirBuilder, File, Permissions};
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::{Path, PathBuf};
@@ -133,24 +134,22 @@ async fn hold(store: &Store, backup: Timestamp) -> Result<String> {
 /// Database first: every file it names already exists then.
 async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     let database = folder.join(DATABASE);
-    let original = Store::open_to_read(from).await?;
-    let name = database.to_string_lossy().into_owned();
-    let copied = sqlx::query("VACUUM INTO ?1").bind(name).execute(&original.reader).await;
-    copied.map_err(Error::from)?;
+    let original = SqlitePool::connect_with(connection(from).read_only(true)).await?;
+    copy_database(&original, &database).await?;
+    original.close().await;
     let failed = |source| Error::File { path: database.clone(), source };
     fs::set_permissions(&database, Permissions::from_mode(0o600)).map_err(failed)?;
     File::open(&database).and_then(|file| file.sync_all()).map_err(failed)?;
 
-    let copy = Store::open_to_read(folder).await?;
     sound::check(&database).await?;
+    let copy = Store::open_to_read(folder).await?;
     let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(&copy.reader).await?;
-    let mut lost = copy_files(&named, original.artifacts(), &artifacts(folder))?;
+    let mut lost = copy_files(&named, &artifacts(from), &artifacts(folder))?;
     let named_archives: Vec<(String, String)> =
         sqlx::query_as(archive::NAMED).fetch_all(&copy.reader).await?;
     let archives = copy_archives(&named_archives, &archives(from), &archives(folder))?;
     lost.extend(archives.gone.into_iter().chain(archives.damaged.iter().cloned()));
     let found = copy.verify_audit(None).await?;
-    original.close().await;
     copy.close().await;
     Ok(Copied {
         folder: folder.to_owned(),

@@ -50,6 +50,7 @@ use lock::DataLock;
 use place::Place;
 use sqlx::{Sqlite, SqlitePool, Transaction};
 use std::sync::{Arc, Mutex, PoisonError};
+use tempfile::TempDir;
 use tokio::sync::watch;
 
 /// An open data folder. Cheap to clone.
@@ -72,6 +73,9 @@ pub struct Store {
     unwritten: Arc<Mutex<Option<String>>>,
     /// Held until the last clone is gone.
     lock: Option<Arc<DataLock>>,
+    /// The folder of the migrated copy that is read in place of an older database; removed with the
+    /// last clone.
+    _copied: Option<Arc<TempDir>>,
 }
 
 impl Store {

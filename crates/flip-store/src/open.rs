@@ -13,6 +13,7 @@ use sqlx::{Row, SqlitePool};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
+use tempfile::TempDir;
 use tokio::sync::watch;
 
 /// Name of the database in the data folder.
@@ -48,7 +49,7 @@ impl Store {
         sound::check(&database).await?;
         sound::check_version(&writer, &migrations()).await?;
         migrations().run(&writer).await.map_err(sqlx::Error::from)?;
-        let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock))).await?;
+        let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock)), None).await?;
         store.seed_published_powders().await?;
         store.take_stock().await?;
         store.sweep_artifacts().await?;
@@ -57,25 +58,35 @@ impl Store {
 
     /// Open an existing data folder read-only, even while another process writes.
     ///
+    /// The database of an older FLIP is left as it is, and a migrated copy of it, as of this
+    /// moment, is read instead; the copy is removed with the last clone of the store.
+    ///
     /// # Errors
-    /// [`Error::Database`] when there is none.
+    /// [`Error::Database`] when there is none; [`Error::Newer`].
     pub async fn open_to_read(data_dir: &Path) -> Result<Self> {
-        Self::assemble(data_dir, None, None).await
+        let database = connections(1).connect_with(connection(data_dir).read_only(true)).await?;
+        sound::check_version(&database, &migrations()).await?;
+        let copied = match sound::is_older(&database, &migrations()).await? {
+            true => Some(migrated_copy(&database).await?),
+            false => None,
+        };
+        database.close().await;
+        Self::assemble(data_dir, None, None, copied).await
     }
 
     /// As [`Self::open_to_read`], after the checks made at every startup; `None` if there is no
     /// database yet.
     ///
     /// # Errors
-    /// Those of a startup: [`Error::Lost`], [`Error::Damaged`], [`Error::Newer`].
+    /// Those of a startup: [`Error::Lost`], [`Error::Damaged`], [`Error::Newer`]; [`Error::File`] of
+    /// the temporary folder.
     pub async fn examine(data_dir: &Path) -> Result<Option<Self>> {
         let database = data_dir.join(DATABASE);
         if !sound::is_there(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))? {
             return Ok(None);
         }
-        let store = Self::open_to_read(data_dir).await?;
         sound::check(&database).await?;
-        Ok(Some(store))
+        Ok(Some(Self::open_to_read(data_dir).await?))
     }
 
     /// Open an existing data folder alongside the process that holds it: for short transactions
@@ -85,15 +96,17 @@ impl Store {
     /// [`Error::Database`] when there is none.
     pub async fn open_beside(data_dir: &Path) -> Result<Self> {
         let writer = write_connection(connection(data_dir)).await?;
-        Self::assemble(data_dir, Some(writer), None).await
+        Self::assemble(data_dir, Some(writer), None, None).await
     }
 
     async fn assemble(
         data_dir: &Path,
         writer: Option<SqlitePool>,
         lock: Option<Arc<DataLock>>,
+        copied: Option<TempDir>,
     ) -> Result<Self> {
-        let options = connection(data_dir).read_only(true);
+        let holds_database = copied.as_ref().map_or(data_dir, TempDir::path);
+        let options = connection(holds_database).read_only(true);
         let reader = connections(READERS).connect_with(options.clone()).await?;
         let long = connections(LONG_READERS).connect_lazy_with(options.clone());
         let apart = connections(1).connect_with(options).await?;
@@ -109,14 +122,35 @@ impl Store {
             artifacts: artifacts(data_dir),
             archives: archives(data_dir),
             newest_event: watch::Sender::new(newest),
-            place: Place::of(&data_dir.join(DATABASE))?,
+            place: Place::of(&holds_database.join(DATABASE))?,
             unwritten: Arc::default(),
             lock,
+            _copied: copied.map(Arc::new),
         })
     }
 }
 
-fn connection(data_dir: &Path) -> SqliteConnectOptions {
+/// A copy of an older database, in a temporary folder, brought to this program's schema.
+async fn migrated_copy(older: &SqlitePool) -> Result<TempDir> {
+    let temporary = std::env::temp_dir();
+    let failed = |source| Error::File { path: temporary.clone(), source };
+    let folder = TempDir::with_prefix("flip-").map_err(failed)?;
+    copy_database(older, &folder.path().join(DATABASE)).await?;
+    let writer = connections(1).connect_with(connection(folder.path())).await?;
+    migrations().run(&writer).await.map_err(sqlx::Error::from)?;
+    writer.close().await;
+    Ok(folder)
+}
+
+/// Copy a database, with everything that is still in its write-ahead log, to a file that is not
+/// there yet.
+pub(super) async fn copy_database(database: &SqlitePool, to: &Path) -> Result<()> {
+    let name = to.to_string_lossy().into_owned();
+    sqlx::query("VACUUM INTO ?1").bind(name).execute(database).await?;
+    Ok(())
+}
+
+pub(super) fn connection(data_dir: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(data_dir.join(DATABASE))
         .foreign_keys(true)

@@ -92,16 +92,23 @@ fn damaged(error: sqlx::Error) -> Error {
 /// # Errors
 /// [`Error::Newer`]
 pub(super) async fn check_version(pool: &SqlitePool, known: &Migrator) -> Result<()> {
+    let unknown = |version: &i64| !known.iter().any(|migration| migration.version == *version);
+    let newer = applied(pool).await?.into_iter().find(unknown);
+    newer.map_or(Ok(()), |version| Err(Error::Newer(version)))
+}
+
+/// Whether the database lacks migrations of this program.
+pub(super) async fn is_older(pool: &SqlitePool, known: &Migrator) -> Result<bool> {
+    let applied = applied(pool).await?;
+    Ok(known.iter().any(|migration| !applied.contains(&migration.version)))
+}
+
+/// FLIP's migrations that a database has been through, in order.
+async fn applied(pool: &SqlitePool) -> Result<Vec<i64>> {
     let table = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')";
     if !sqlx::query_scalar::<_, bool>(table).fetch_one(pool).await? {
-        return Ok(());
+        return Ok(Vec::new());
     }
-    let applied: Vec<i64> =
-        sqlx::query_scalar("SELECT version FROM _sqlx_migrations ORDER BY version")
-            .fetch_all(pool)
-            .await?;
-    let unknown = |version: &i64| {
-        *version < OWN_MAX && !known.iter().any(|migration| migration.version == *version)
-    };
-    applied.into_iter().find(unknown).map_or(Ok(()), |version| Err(Error::Newer(version)))
+    let versions = "SELECT version FROM _sqlx_migrations WHERE version < ?1 ORDER BY version";
+    Ok(sqlx::query_scalar(versions).bind(OWN_MAX).fetch_all(pool).await?)
 }

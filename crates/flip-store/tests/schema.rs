@@ -8,7 +8,7 @@
 use flip_core::domain::bench_check::CheckKind;
 use flip_core::domain::job::JobKind;
 use flip_store::page::Window;
-use flip_store::{Error, Store};
+use flip_store::{Error, Store, backup};
 use serde_json::Value;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions, SqliteSynchronous};
@@ -202,6 +202,44 @@ async fn a_folder_of_every_schema_opens_with_all_its_rows_and_reads() {
         assert_eq!(latched.as_deref(), (level >= 16).then_some("a vial fell"), "{level}");
         assert_eq!(store.held().await.unwrap().is_some(), level >= 16, "{level}");
         store.close().await;
+    }
+}
+
+#[tokio::test]
+async fn a_folder_of_every_schema_is_examined_and_backed_up_as_it_is() {
+    for level in levels() {
+        let folder = folder_of(level).await;
+        let pool = connect(folder.path()).await;
+        let before = (rows(&pool).await, structure(&pool).await);
+        pool.close().await;
+
+        let store = Store::examine(folder.path()).await.unwrap().unwrap();
+        for (table, read) in readable(&store).await {
+            let kept = before.0.get(table).map_or(0, |(_, rows)| rows.len());
+            assert_eq!(read, kept, "{level}: {table}");
+        }
+        let found = store.verify_audit(None).await.unwrap();
+        assert_eq!(found.broken, None, "{level}");
+        assert!(matches!(store.write().await.unwrap_err(), Error::ReadOnly), "{level}");
+        store.close().await;
+
+        let kept = tempfile::tempdir().unwrap();
+        let made = backup::copy(folder.path(), kept.path()).await.unwrap();
+        let records = before.0.get("audit").map_or(0, |(_, rows)| rows.len());
+        assert_eq!((made.audit_broken, made.records), (None, records as i64), "{level}");
+        // Neither is migrated: the way back to the older program is its backup.
+        for unchanged in [folder.path(), kept.path()] {
+            let pool = connect(unchanged).await;
+            assert_eq!((rows(&pool).await, structure(&pool).await), before, "{level}");
+            pool.close().await;
+        }
+
+        let back = kept.path().with_extension("back");
+        backup::restore(kept.path(), &back, false).await.unwrap();
+        let store = Store::open(&back).await.unwrap();
+        assert_eq!(store.verify_audit(None).await.unwrap().broken, None, "{level}");
+        store.close().await;
+        std::fs::remove_dir_all(back).unwrap();
     }
 }
 
