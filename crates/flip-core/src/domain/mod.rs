@@ -13,6 +13,7 @@ pub mod powder;
 pub mod powder_name;
 pub mod rest;
 pub mod seed;
+pub mod shake;
 pub mod spoon;
 pub mod timestamp;
 pub mod vial;

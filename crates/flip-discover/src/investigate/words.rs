@@ -79,8 +79,10 @@ fn cause(report: &Report, claim: &Claim, law: Option<&str>) -> String {
     let told = claim.told.iter().filter_map(|told| caused(told, report, "makes", "changes"));
     let told = told.collect::<Vec<_>>().join("; and ");
     let law = law.filter(|law| !law.starts_with("one number for each"));
+    let finding = report.findings.first();
+    let covariates = finding.and_then(|finding| finding.covariate.as_deref()).unwrap_or_default();
     let law = law.map_or(String::new(), |law| {
-        format!(" It grows most probably with {law}{}.", letters(report, law))
+        format!(" It grows most probably with {law}{}.", letters(covariates, law))
     });
     format!("{told}.{law}")
 }
@@ -127,15 +129,14 @@ fn hint(report: &Report, claim: &Claim) -> String {
 }
 
 /// The legend for the letters of a law: `, where h is the relative humidity`.
-fn letters(report: &Report, law: &str) -> String {
-    let covariates = report
-        .findings
-        .first()
-        .and_then(|finding| finding.covariate.as_deref())
-        .unwrap_or_default();
+///
+/// `covariates`: the finding's, joined by " and " if there are two.
+fn letters(covariates: &str, law: &str) -> String {
     let stands = |name: &str| {
         let letter = names::symbol(name)?;
-        let mut words = law.split(|c: char| !c.is_alphanumeric());
+        // The "a" of "a rise around 7 d" is the article.
+        let formula = law.replace("a rise around", "");
+        let mut words = formula.split(|c: char| !c.is_alphanumeric());
         words.any(|word| word == letter).then(|| format!("{letter} is the {}", quantity(name).0))
     };
     let stand: Vec<String> = covariates.split(" and ").filter_map(stands).collect();
@@ -313,4 +314,24 @@ pub(crate) fn blind_spots(
         )
     }));
     spots
+}
+
+#[cfg(test)]
+mod tests {
+    use super::letters;
+
+    #[test]
+    fn the_letters_of_a_law_are_explained_and_its_article_is_not() {
+        let age = ", where a is the time since opening";
+        assert_eq!(letters("container_age_d", "1 - exp(-a / 3 d)"), age);
+        assert_eq!(letters("container_age_d", "a rise around 7 d"), "");
+        let humidity = ", where h is the relative humidity";
+        assert_eq!(letters("relative_humidity_pct", "h^2"), humidity);
+        let both = format!("{humidity} and t is the time at rest");
+        assert_eq!(
+            letters("relative_humidity_pct and rest_min", "h^4 (1 - exp(-t / 20 min))"),
+            both
+        );
+        assert_eq!(letters("operator", "one value per operator"), "");
+    }
 }
