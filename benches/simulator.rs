@@ -71,13 +71,11 @@ fn spoon(criterion: &mut Criterion) {
     });
     let mut tilted = Dispenser::new(&ParameterSet::default(), &settings, 1);
     for _ in 0..3 {
-        tilted.step(Action { incline_change_deg: 8.0, shake_mm: 0.0 });
+        tilted.step(Action::once(8.0, 0.0));
     }
     for shake_mm in [2.0, 8.0, 16.0] {
         group.bench_function(format!("shake {shake_mm} mm at 24 deg"), |bencher| {
-            bencher.iter(|| {
-                tilted.clone().step(black_box(Action { incline_change_deg: 0.0, shake_mm }))
-            });
+            bencher.iter(|| tilted.clone().step(black_box(Action::once(0.0, shake_mm))));
         });
     }
     group.finish();

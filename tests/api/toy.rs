@@ -82,10 +82,16 @@ impl Rig for Bench {
                 break;
             }
             let mass_mg = pouring.task.order.target_mg * f64::from(step) / 2.0;
-            let action = Action { incline_change_deg: 1.0, shake_mm: 4.0 };
+            let action = Action::once(1.0, 4.0);
             let (t_s, pitch_deg) = (f64::from(step) * 0.7, f64::from(step));
-            let tick =
-                Tick { step, t_s, pitch_deg, action, reading: Reading { mass_mg, stable: true } };
+            let tick = Tick {
+                step,
+                t_s,
+                pitch_deg,
+                action,
+                reading: Reading { mass_mg, stable: true },
+                spoonful: 1,
+            };
             let _recorded = on_event(&Event::Tick(&tick));
             ticks.push(tick);
         }

@@ -124,6 +124,7 @@ pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Pour
             pitch_deg: 10.0,
             action: Action::default(),
             reading,
+            spoonful: 1,
         };
         let _recorded = on_event(&Event::Tick(&tick));
         ticks.push(tick);

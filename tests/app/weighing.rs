@@ -292,7 +292,7 @@ async fn forecasts(remembers: bool) -> Vec<Forecast> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_bench_that_remembers_expects_of_a_powder_what_it_did_before() {
-    let shake = |mass_mg: f64| Fall { pitch_deg: 10.0, shake_mm: 4.0, mass_mg };
+    let shake = |mass_mg: f64| Fall { pitch_deg: 10.0, shake_mm: 4.0, strokes: 1, mass_mg };
     let known = Forecast::GENERIC.informed(&[vec![shake(7.625), shake(7.625)]], 1.0);
     assert_ne!(known, Forecast::GENERIC);
     assert_eq!(forecasts(true).await, [Forecast::GENERIC, Forecast::GENERIC, known, known]);

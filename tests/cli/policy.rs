@@ -59,7 +59,7 @@ fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
         stderr(&alone)
     );
     // With the 10 mg missing before, the sum is 16.
-    let action = flip_core::domain::bench::Action { incline_change_deg: 0.8, shake_mm: 8.0 };
+    let action = flip_core::domain::bench::Action::once(0.8, 8.0);
     let history = folder.path().join("history.json");
     let steps = [Done { before: seen(0.0, 0.0), action, after: seen(4.0, 0.8) }];
     std::fs::write(&history, serde_json::to_string(&steps).unwrap()).unwrap();

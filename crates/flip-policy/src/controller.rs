@@ -5,7 +5,7 @@ use super::dispenser::Dispenser;
 use super::episode::Rules;
 use super::fuzzy::Fuzzy;
 use super::observation::{Encoding, Observation};
-use super::paced::Paced;
+use super::paced::{self, Paced};
 use super::pid::Pid;
 use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX};
 use rand::SeedableRng;
@@ -61,7 +61,7 @@ impl ScheduledStep {
         let change = missing.clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX);
         // A servo may stop a little short: within half a degree counts as arrived.
         let arrives = (missing - change).abs() < 0.5;
-        Action { incline_change_deg: change, shake_mm: if arrives { self.shake_mm } else { 0.0 } }
+        Action::once(change, if arrives { self.shake_mm } else { 0.0 })
     }
 }
 
@@ -127,6 +127,7 @@ impl Controller {
             done: Vec::new(),
             proposed: None,
             carried,
+            onset_deg: None,
         }
     }
 }
@@ -152,6 +153,7 @@ pub struct Dosing<'a> {
     done: Vec<Done>,
     proposed: Option<(Observation, Action)>,
     carried: Carried,
+    onset_deg: Option<f64>,
 }
 
 impl Dosing<'_> {
@@ -159,6 +161,11 @@ impl Dosing<'_> {
     pub fn knowing(mut self, repose_deg: Option<f64>) -> Self {
         self.carried.repose_deg = repose_deg;
         self
+    }
+
+    /// Sets the pitch at which the powder began to flow in earlier doses, degrees, if known.
+    pub fn expecting(self, onset_deg: Option<f64>) -> Self {
+        Self { onset_deg, ..self }
     }
 
     /// Resumes a weighing midway: records a step that was carried out, with its actual action.
@@ -183,7 +190,8 @@ impl Dosing<'_> {
             }
             Controller::Pid(pid) => pid.propose(&self.done, seen),
             Controller::Fuzzy(fuzzy) => fuzzy.propose(&self.done, seen),
-            Controller::Paced(paced) => paced.propose(&self.done, seen, &self.rules),
+            Controller::Paced(paced) => paced::lead_in(self.onset_deg, seen)
+                .unwrap_or_else(|| paced.propose(&self.done, seen, &self.rules)),
         };
         self.proposed = Some((*seen, action));
         action

@@ -107,9 +107,9 @@ impl Dispenser {
                 (seen.pitch_deg + change).clamp(rules.pitch.lower_deg, rules.pitch.upper_deg);
             pitch - seen.pitch_deg
         };
-        let actions = CHANGES_DEG.iter().flat_map(|by| {
-            SHAKES_MM.map(|shake_mm| Action { incline_change_deg: change(*by), shake_mm })
-        });
+        let actions = CHANGES_DEG
+            .iter()
+            .flat_map(|by| SHAKES_MM.map(|shake_mm| Action::once(change(*by), shake_mm)));
         let rated =
             actions.map(|action| (self.expected_loss(&guesses, moment, action, rules), action));
         rated.min_by(|a, b| a.0.total_cmp(&b.0)).map_or_else(Action::default, |(_, action)| action)

@@ -108,7 +108,7 @@ fn what_the_balance_shows_tells_one_spoon_from_another() {
     let seen = |reading_mg, pitch_deg| Observation { reading_mg, target_mg: 15.0, pitch_deg };
     let shaken = |before_mg, after_mg| Done {
         before: seen(before_mg, 0.0),
-        action: Action { incline_change_deg: 8.0, shake_mm: 8.0 },
+        action: Action::once(8.0, 8.0),
         after: seen(after_mg, 8.0),
     };
     let expected = |done: &[Done]| {
@@ -121,8 +121,7 @@ fn what_the_balance_shows_tells_one_spoon_from_another() {
     let [nothing, little, much] = [0.0, 1.0, 6.0].map(|mg| expected(&[shaken(0.0, mg)]));
     assert!(nothing < little && little < much, "{nothing} {little} {much}");
     // Without a shake nothing is learned.
-    let still =
-        Done { action: Action { incline_change_deg: 8.0, shake_mm: 0.0 }, ..shaken(0.0, 0.0) };
+    let still = Done { action: Action::once(8.0, 0.0), ..shaken(0.0, 0.0) };
     assert!(dispenser.weights(&[still], 1.0).iter().all(|w| *w == 1.0));
     // However unlikely the reading, the weights remain finite.
     assert!(

@@ -92,16 +92,13 @@ impl Fuzzy {
         let fall = memberships(&self.fall_mg, fall_mg);
         let rules = (0..3).flat_map(|m| (0..3).map(move |f| (m, f)));
         // Sums of strengths may slightly exceed one.
-        Action {
-            incline_change_deg: rules
+        Action::once(
+            rules
                 .map(|(m, f)| missing[m] * fall[f] * self.tilt_deg[TILT[m][f]])
                 .sum::<f64>()
                 .clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX),
-            shake_mm: (0..3)
-                .map(|m| missing[m] * self.shake_mm[m])
-                .sum::<f64>()
-                .clamp(0.0, SHAKE_MM_MAX),
-        }
+            (0..3).map(|m| missing[m] * self.shake_mm[m]).sum::<f64>().clamp(0.0, SHAKE_MM_MAX),
+        )
     }
 }
 
@@ -132,7 +129,7 @@ mod tests {
 
     /// The controller's answer for this missing mass and this fall in the last shake.
     fn answer(fuzzy: &Fuzzy, missing_mg: f64, fall_mg: f64) -> Action {
-        let action = Action { incline_change_deg: 0.0, shake_mm: 5.0 };
+        let action = Action::once(0.0, 5.0);
         fuzzy.propose(
             &[Done { before: seen(missing_mg + fall_mg), action, after: seen(missing_mg) }],
             &seen(missing_mg),
@@ -163,11 +160,7 @@ mod tests {
 
     #[test]
     fn only_a_step_that_shook_says_what_falls() {
-        let shook = Done {
-            before: seen(18.0),
-            action: Action { incline_change_deg: 0.0, shake_mm: 5.0 },
-            after: seen(12.0),
-        };
+        let shook = Done { before: seen(18.0), action: Action::once(0.0, 5.0), after: seen(12.0) };
         let tilted = Done { before: seen(12.0), action: Action::default(), after: seen(12.0) };
         assert_eq!(
             PLAIN.propose(&[shook, tilted], &seen(12.0)),
@@ -175,7 +168,7 @@ mod tests {
         );
         assert_ne!(PLAIN.propose(&[tilted], &seen(12.0)), PLAIN.propose(&[shook], &seen(12.0)));
         let first = Controller::Fuzzy(PLAIN).begin(&Rules::FLIP, 1.0).propose(&seen(20.0));
-        assert_eq!(first, Action { incline_change_deg: 8.0, shake_mm: 14.0 });
+        assert_eq!(first, Action::once(8.0, 14.0));
     }
 
     #[test]

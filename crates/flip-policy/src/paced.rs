@@ -32,6 +32,10 @@ const ON_DEG_MAX: f64 = 6.0;
 /// Within this distance of its upper limit the pitch counts as being there, degrees.
 const AT_THE_END_DEG: f64 = 0.5;
 
+/// How far below the pitch at which a powder flowed before the first shake is made, degrees: from
+/// dose to dose, that pitch differs by up to 3.5.
+const BEFORE_ONSET_DEG: f64 = 6.0;
+
 /// A smaller fall is dust, not a piece, mg.
 const PIECE_MG: f64 = 0.5;
 
@@ -141,6 +145,14 @@ impl Paced {
     }
 }
 
+/// The way to where a known powder is about to flow, unshaken: [`BEFORE_ONSET_DEG`] below the
+/// pitch at which it began to flow before. `None` once there, or once something has fallen.
+pub(super) fn lead_in(onset_deg: Option<f64>, seen: &Observation) -> Option<Action> {
+    let left_deg = onset_deg? - BEFORE_ONSET_DEG - seen.pitch_deg;
+    let is_on_the_way = seen.reading_mg < PIECE_MG && left_deg > AT_THE_END_DEG;
+    is_on_the_way.then(|| Action::once(left_deg.min(INCLINE_CHANGE_DEG_MAX), 0.0))
+}
+
 /// Whether the spoon cannot be raised further.
 fn is_at_the_end(seen: &Observation, frame: &Rules) -> bool {
     seen.pitch_deg > frame.pitch.upper_deg - AT_THE_END_DEG
@@ -184,11 +196,23 @@ mod tests {
     }
 
     #[test]
+    fn a_powder_that_flowed_before_is_brought_near_that_pitch_without_a_shake() {
+        let way = |onset_deg, reading_mg, pitch_deg| {
+            lead_in(onset_deg, &Observation { reading_mg, target_mg: 15.0, pitch_deg })
+        };
+        assert_eq!(way(Some(46.0), 0.0, 0.0), Some(Action::once(8.0, 0.0)));
+        assert_eq!(way(Some(46.0), 0.0, 37.0), Some(Action::once(3.0, 0.0)));
+        assert_eq!(way(Some(46.0), 0.0, 40.0), None, "there");
+        assert_eq!(way(Some(46.0), 1.0, 20.0), None, "it has begun to fall");
+        assert_eq!(way(None, 0.0, 0.0), None);
+    }
+
+    #[test]
     fn at_the_end_of_the_pitch_shakes_grow_until_something_falls_or_little_is_missing() {
         let frame = Rules { steps_max: 30, ..Rules::FLIP };
         let seen = |reading_mg, pitch_deg| Observation { reading_mg, target_mg: 20.0, pitch_deg };
         let next = |shake_mm, before_mg, now_mg, pitch_deg| {
-            let action = Action { incline_change_deg: 0.0, shake_mm };
+            let action = Action::once(0.0, shake_mm);
             let step =
                 Done { before: seen(before_mg, pitch_deg), action, after: seen(now_mg, pitch_deg) };
             Paced::CHOSEN.propose(&[step], &seen(now_mg, pitch_deg), &frame).shake_mm

@@ -75,10 +75,10 @@ impl Pid {
         let sum = done.iter().map(before).sum::<f64>() + error;
         let change = error - done.last().map_or(0.0, before);
         let share = |gains: &Gains| gains.p * error + gains.i * sum + gains.d * change;
-        Action {
-            incline_change_deg: share(&self.incline).clamp(-1.0, 1.0) * INCLINE_CHANGE_DEG_MAX,
-            shake_mm: share(&self.shake).clamp(0.0, 1.0) * SHAKE_MM_MAX,
-        }
+        Action::once(
+            share(&self.incline).clamp(-1.0, 1.0) * INCLINE_CHANGE_DEG_MAX,
+            share(&self.shake).clamp(0.0, 1.0) * SHAKE_MM_MAX,
+        )
     }
 }
 

@@ -5,6 +5,7 @@ use super::controller::Controller;
 use super::episode::Rules;
 use super::manifest::{Kind, Manifest};
 use super::paced::Paced;
+use flip_core::domain::bench::PitchLimits;
 use std::sync::LazyLock;
 
 /// A policy in its various forms.
@@ -18,11 +19,11 @@ pub struct Shipped {
     pub bytes: Vec<u8>,
 }
 
-/// The rules of [`Paced::CHOSEN`], in at most 30 steps: the default for a weighing until another
+/// The rules of [`Paced::CHOSEN`], in at most 30 steps and as far as the arm pitches: the default for a weighing until another
 /// policy has proved better. Present in every data folder.
 pub fn shipped() -> &'static Shipped {
     static SHIPPED: LazyLock<Shipped> = LazyLock::new(|| {
-        let rules = Rules { steps_max: 30, ..Rules::FLIP };
+        let rules = Rules { steps_max: 30, pitch: PitchLimits::OPEN, ..Rules::FLIP };
         let manifest = Manifest::of_untrained(Kind::Paced { paced: Paced::CHOSEN }, rules, 0);
         let policy = Policy { manifest, controller: Controller::Paced(Paced::CHOSEN) };
         let bytes = encode(&policy);

@@ -214,31 +214,37 @@ impl Dispenser {
         (self.vial, self.spilled) = (0.0, 0.0);
     }
 
-    /// Carries out one action until the powder rests: first the pitch, clamped to its limits, then
-    /// the shake.
+    /// Carries out one action: first the pitch, clamped to its limits, then each stroke, until the
+    /// powder rests after it.
     pub fn step(&mut self, action: Action) -> Poured {
         let limits = self.settings.pitch;
         let pitch =
             (self.pitch_deg + action.incline_change_deg).clamp(limits.lower_deg, limits.upper_deg);
-        self.carry_out(pitch, action.executed_shake_mm())
+        self.carry_out(pitch, action.executed_shake_mm(), action.strokes)
     }
 
     /// Returns the spoon to level.
     pub fn level(&mut self) -> Poured {
-        self.carry_out(0.0, 0.0)
+        self.carry_out(0.0, 0.0, 0)
     }
 
-    fn carry_out(&mut self, pitch_deg: f64, shake_mm: f64) -> Poured {
+    fn carry_out(&mut self, pitch_deg: f64, shake_mm: f64, strokes: u32) -> Poured {
         let before = (self.vial, self.spilled);
         let mut duration_s = 0.0;
         if pitch_deg != self.pitch_deg {
             duration_s += self.incline(pitch_deg);
         }
-        if shake_mm > 0.0 {
+        if shake_mm > 0.0 && strokes > 0 {
             duration_s += self.shake(shake_mm * 1e-3);
         }
         if duration_s > 0.0 {
             duration_s += self.rest(self.settings.settle_max_s);
+        }
+        if shake_mm > 0.0 {
+            for _ in 1..strokes {
+                duration_s += self.shake(shake_mm * 1e-3);
+                duration_s += self.rest(self.settings.settle_max_s);
+            }
         }
         Poured {
             vial_mg: (self.vial - before.0) * self.grain_mg,
@@ -342,6 +348,11 @@ impl Dispenser {
         let miss_x = at_x + speed_x * fall - self.settings.vial_offset_mm * 1e-3;
         let miss_y = x[1] + v[1] * fall;
         libm::hypot(miss_x, miss_y) <= self.settings.vial_radius_mm * 1e-3
+    }
+
+    /// The range of its pitch.
+    pub fn pitch(&self) -> PitchLimits {
+        self.settings.pitch
     }
 
     /// Current pitch, degrees; positive is tip down.

@@ -102,7 +102,7 @@ pub fn shakes(
     };
     let mut spoon = Dispenser::new(set, &settings, seed);
     let mut act = |incline_change_deg, shake_mm| {
-        let poured = spoon.step(Action { incline_change_deg, shake_mm });
+        let poured = spoon.step(Action::once(incline_change_deg, shake_mm));
         match spoon.fault() {
             Some(cause) => {
                 Err(Refusal::Diverged { at_s: poured.duration_s, cause: cause.to_owned() })

@@ -369,7 +369,7 @@ mod tests {
         assert!(taken_mg < 0.5 * bed_mg);
         assert_eq!(dispenser.step(Action::default()), dispense::Poured::default());
         let poured: f64 = (0..6)
-            .map(|_| dispenser.step(Action { incline_change_deg: 8.0, shake_mm: 8.0 }))
+            .map(|_| dispenser.step(Action::once(8.0, 8.0)))
             .map(|poured| poured.vial_mg + poured.spilled_mg)
             .sum();
         assert!(

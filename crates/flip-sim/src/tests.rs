@@ -274,7 +274,7 @@ fn a_level_spoon_keeps_its_powder_and_a_steep_shaken_one_gives_it_up() {
     let mut steep = full.clone();
     let mut poured = 0.0;
     for _ in 0..6 {
-        poured += steep.step(Action { incline_change_deg: 8.0, shake_mm: 8.0 }).vial_mg;
+        poured += steep.step(Action::once(8.0, 8.0)).vial_mg;
     }
     assert!(poured > 0.3 * total, "{poured} of {total}");
     let accounted = steep.vial_mg() + steep.spilled_mg() + steep.spoon_mg();

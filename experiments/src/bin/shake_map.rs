@@ -25,16 +25,11 @@ fn main() {
             let mut spoon = full.clone();
             while spoon.pitch_deg() < pitch {
                 let change = (pitch - spoon.pitch_deg()).min(8.0);
-                spoon.step(Action { incline_change_deg: change, shake_mm: 0.0 });
+                spoon.step(Action::once(change, 0.0));
             }
             let tilted = spoon.vial_mg();
             let doses: Vec<String> = (0..5)
-                .map(|_| {
-                    format!(
-                        "{:.2}",
-                        spoon.step(Action { incline_change_deg: 0.0, shake_mm }).vial_mg
-                    )
-                })
+                .map(|_| format!("{:.2}", spoon.step(Action::once(0.0, shake_mm)).vial_mg))
                 .collect();
             format!(
                 "{pitch} deg {shake_mm} mm: tilt {tilted:.2}, shakes {} mg, spilled {:.2}",

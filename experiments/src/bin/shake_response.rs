@@ -118,7 +118,7 @@ fn course(
         // As many small shakes as large ones, and a fifth of the steps without a shake.
         let shake_mm =
             if rng.random_bool(0.2) { 0.0 } else { rng.random_range(0.0..SHAKE_MM_MAX.ln()).exp() };
-        let poured = spoon.step(Action { incline_change_deg: change, shake_mm });
+        let poured = spoon.step(Action::once(change, shake_mm));
         let name = &powder.powder;
         let (pitch_deg, mg, spilled_mg) = (spoon.pitch_deg(), poured.vial_mg, poured.spilled_mg);
         writeln!(

@@ -331,9 +331,10 @@ same_fields! {
         ticks: all(d.ticks),
         trace_lost: d.trace_lost,
     }
-    t: Tick => Tick { step t_s pitch_deg } {
+    t: Tick => Tick { step t_s pitch_deg spoonful } {
         incline_change_deg: t.action.incline_change_deg,
         shake_mm: t.action.shake_mm,
+        strokes: t.action.strokes,
         mass_mg: t.reading.mass_mg,
         stable: t.reading.stable,
     }

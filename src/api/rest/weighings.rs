@@ -102,12 +102,18 @@ pub async fn download_trace(
 
 /// Numbers as in JSON, so that both forms of a trace have the same digits.
 fn csv(ticks: &[bench::Tick]) -> String {
-    let mut text = String::from("step,t_s,pitch_deg,incline_change_deg,shake_mm,mass_mg,stable\n");
-    for bench::Tick { step, t_s, pitch_deg, action, reading } in ticks {
+    let mut text = String::from(
+        "step,t_s,pitch_deg,incline_change_deg,shake_mm,mass_mg,stable,strokes,spoonful\n",
+    );
+    for bench::Tick { step, t_s, pitch_deg, action, reading, spoonful } in ticks {
         let _infallible = writeln!(
             text,
-            "{step},{t_s},{pitch_deg},{},{},{},{}",
-            action.incline_change_deg, action.shake_mm, reading.mass_mg, reading.stable
+            "{step},{t_s},{pitch_deg},{},{},{},{},{},{spoonful}",
+            action.incline_change_deg,
+            action.shake_mm,
+            reading.mass_mg,
+            reading.stable,
+            action.strokes
         );
     }
     text
@@ -172,14 +178,15 @@ mod tests {
 
     #[test]
     fn the_csv_of_a_trace_holds_the_digits_of_its_json() {
-        let action = Action { incline_change_deg: -0.1, shake_mm: 8.0 };
+        let action = Action::once(-0.1, 8.0);
         let tick = bench::Tick {
             step: 1,
             t_s: 0.3,
             pitch_deg: 20.5,
             action,
             reading: Reading { mass_mg: 4.0, stable: true },
+            spoonful: 2,
         };
-        assert_eq!(csv(&[tick]).lines().nth(1), Some("1,0.3,20.5,-0.1,8,4,true"));
+        assert_eq!(csv(&[tick]).lines().nth(1), Some("1,0.3,20.5,-0.1,8,4,true,1,2"));
     }
 }

@@ -354,9 +354,11 @@ pub struct Action {
     /// Amplitude of one out-and-back shake along the spoon, mm; 0 to 16; below 0.9 there is no
     /// shake.
     pub shake_mm: f64,
+    /// How often the shake is made before the balance is read; 1 to 8.
+    pub strokes: u32,
 }
 
-answer! { flip_core::domain::bench::Action => Action { incline_change_deg, shake_mm } }
+answer! { flip_core::domain::bench::Action => Action { incline_change_deg, shake_mm, strokes } }
 
 /// One reading of the balance.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -382,6 +384,8 @@ pub struct Tick {
     pub action: Action,
     /// The settled balance reading.
     pub reading: Reading,
+    /// Which filling of the spoon, from 1.
+    pub spoonful: u32,
 }
 
-answer! { flip_core::domain::bench::Tick => Tick { step, t_s, pitch_deg, action, reading } }
+answer! { flip_core::domain::bench::Tick => Tick { step, t_s, pitch_deg, action, reading, spoonful } }

@@ -185,9 +185,9 @@ pub(super) fn heap(windows: u32, seed: u64) -> Spread {
 pub(super) fn weighing_step(windows: u32, seed: u64) -> Spread {
     let mut spoon = Dispenser::new(&ParameterSet::default(), &dispense::Settings::default(), seed);
     for _ in 0..3 {
-        spoon.step(Action { incline_change_deg: 8.0, shake_mm: 0.0 });
+        spoon.step(Action::once(8.0, 0.0));
     }
-    let shake = Action { incline_change_deg: 0.0, shake_mm: 8.0 };
+    let shake = Action::once(0.0, 8.0);
     Spread::over(windows, |_| {
         let mut spoon = spoon.clone();
         core_s(|| spoon.step(shake)).0

@@ -2,8 +2,9 @@
 //! doses.
 
 use super::lane::LaneThread;
+use crate::jobs::spoon::holds_mg;
 use flip_bench::rig::{Pouring, Simulation, Task};
-use flip_bench::weigh::forecast::{Fall, Forecast};
+use flip_bench::weigh::forecast::{Fall, Forecast, onset_deg};
 use flip_bench::weigh::{Accuracy, Order};
 use flip_core::domain::bench::Tick;
 use flip_core::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
@@ -77,6 +78,8 @@ impl LaneThread {
                 },
                 shakes: shakes.map(|(_, line)| line),
                 forecast: Forecast::GENERIC.informed(&earlier, readability_mg),
+                onset_deg: onset_deg(&earlier, readability_mg),
+                spoon_mg: holds_mg(&self.rig.spoon(), std::iter::once(&set.parameters)),
                 pan: self.pan_check(weighing, pan, readability_mg),
             })
         })

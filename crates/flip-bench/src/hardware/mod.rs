@@ -98,6 +98,23 @@ pub trait Bench {
     /// The arm failed: a person must check it.
     fn discard(&mut self) -> Result<(), DeviceError>;
 
+    /// Whether [`Bench::refill`] can fill the spoon anew during a dose.
+    fn can_refill(&self) -> bool {
+        false
+    }
+
+    /// Level the spoon, take it away from the vial, return what is left in it, fill it anew, and
+    /// bring it level over the vial. The vial stays on the balance, which is not tared.
+    ///
+    /// # Errors
+    /// A device failed or may not move.
+    fn refill(&mut self) -> Result<(), DeviceError> {
+        self.level()?;
+        self.retract()?;
+        self.discard()?;
+        self.approach()
+    }
+
     /// The arm's range; a dose stays within it.
     fn reach(&self) -> Reach {
         Reach::FULL

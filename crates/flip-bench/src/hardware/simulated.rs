@@ -1,7 +1,7 @@
 //! The digital bench: the simulator's spoon over the simulated balance.
 
 use super::{Bench, DeviceError};
-use flip_core::domain::bench::{Action, Moment, Reading, Standing, Tare};
+use flip_core::domain::bench::{Action, Moment, Reach, Reading, Standing, Tare};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::rest::Rest;
 use flip_core::domain::seed::derive;
@@ -143,6 +143,10 @@ impl Bench for SimulatedBench {
 
     fn discard(&mut self) -> Result<(), DeviceError> {
         Ok(())
+    }
+
+    fn reach(&self) -> Reach {
+        Reach { pitch: self.spoon.pitch(), ..Reach::FULL }
     }
 
     fn pitch_deg(&self) -> f64 {

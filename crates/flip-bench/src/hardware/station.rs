@@ -324,8 +324,11 @@ impl Bench for Station {
         if wanted_mm > 0.0 {
             let commanded_mm =
                 self.shakes.as_ref().map_or(wanted_mm, |line| line.commanded_mm(wanted_mm));
-            self.arm.shake(commanded_mm.min(self.arm.limits().shake_mm_max))?;
-            self.moved();
+            let commanded_mm = commanded_mm.min(self.arm.limits().shake_mm_max);
+            for _ in 0..action.strokes.max(1) {
+                self.arm.shake(commanded_mm)?;
+                self.moved();
+            }
         }
         Ok(())
     }
@@ -359,6 +362,10 @@ impl Bench for Station {
             Err(DeviceError::Unsupported { .. }) => Ok(()),
             emptied => emptied.map(drop),
         }
+    }
+
+    fn can_refill(&self) -> bool {
+        self.fills
     }
 
     fn reach(&self) -> Reach {

@@ -141,7 +141,17 @@ pub(super) fn dose(
     let task = &pouring.task;
     let (accuracy, forecast, readings) = (task.accuracy, Some(pouring.forecast), file.readings);
     let (life_s, rest_max_s, pan) = (readings.life_s, readings.stand_max_s, pouring.pan);
-    let settings = Settings { accuracy, forecast, life_s, rest_max_s, pan, ..Settings::BENCH };
+    let (onset_deg, spoon_mg) = (pouring.onset_deg, pouring.spoon_mg);
+    let settings = Settings {
+        accuracy,
+        forecast,
+        life_s,
+        rest_max_s,
+        pan,
+        onset_deg,
+        spoon_mg,
+        ..Settings::for_target(task.order.target_mg, spoon_mg)
+    };
     let weighed =
         weigh(&mut station, &task.controller, &task.rules, &task.order, &settings, on_event, stop);
     wires.closed();

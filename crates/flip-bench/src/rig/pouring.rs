@@ -35,7 +35,7 @@ impl Task {
 pub struct Simulation {
     /// The powder.
     pub set: ParameterSet,
-    /// The spoon; its pitch range is that of the rules.
+    /// The spoon; its pitch range is narrowed by that of the rules.
     pub spoon: dispense::Settings,
     /// The balance.
     pub balance: balance::Settings,
@@ -45,7 +45,7 @@ pub struct Simulation {
 
 impl Simulation {
     pub(super) fn spoon_for(&self, rules: &Rules) -> dispense::Settings {
-        dispense::Settings { pitch: rules.pitch, ..self.spoon }
+        dispense::Settings { pitch: rules.pitch.within(self.spoon.pitch), ..self.spoon }
     }
 }
 
@@ -60,6 +60,10 @@ pub struct Pouring {
     pub shakes: Option<ShakeCalibration>,
     /// Predicted behaviour of the powder.
     pub forecast: Forecast,
+    /// Pitch at which the powder began to flow in earlier doses, degrees, if known.
+    pub onset_deg: Option<f64>,
+    /// What the spoon holds of the powder, mg, if known.
+    pub spoon_mg: Option<f64>,
     /// The check of the display before anything moves.
     pub pan: PanCheck,
 }

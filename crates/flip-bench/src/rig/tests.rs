@@ -80,6 +80,8 @@ fn pouring() -> Pouring {
         },
         shakes: None,
         forecast: Forecast::GENERIC,
+        onset_deg: None,
+        spoon_mg: None,
         pan: PanCheck::NONE,
     }
 }

@@ -19,6 +19,9 @@
 //! P(next > u) = (1 - h) P_level(next > u) + h Phi((f + 0.55 ln amplitude - ln u) / g)
 //! ```
 //!
+//! A step of n strokes counts as one shake that releases n times as much (x + ln n), may free a
+//! first piece at each stroke (1 - (1 - h)^n), and spends n w.
+//!
 //! | symbol | field | value | from |
 //! |---|---|---|---|
 //! | m, s | `level`, `level_sd` | -2.3, 0.8 | courses of the shipped rules on simulated spoons; s is three times what they need, for powders that no simulator knows |
@@ -32,7 +35,7 @@
 //! Source: Kalman, "A New Approach to Linear Filtering and Prediction Problems", 1960, for the
 //! level; the rest as given.
 
-use flip_core::domain::bench::Tick;
+use flip_core::domain::bench::{Action, Tick};
 use serde::{Deserialize, Serialize};
 
 /// Added to a mass before taking its logarithm, mg: anything less is dust.
@@ -53,17 +56,52 @@ pub struct Fall {
     pub pitch_deg: f64,
     /// Its amplitude, mm.
     pub shake_mm: f64,
-    /// Mass that fell, mg; negative if the readings give that.
+    /// How often it was made before the reading.
+    pub strokes: u32,
+    /// Mass that fell in all, mg; negative if the readings give that.
     pub mass_mg: f64,
 }
 
+/// A shake that may be made: at this pitch, of this amplitude, so often before the next reading.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shaking {
+    /// Pitch during it, degrees.
+    pub pitch_deg: f64,
+    /// Its amplitude, mm; 0: none.
+    pub shake_mm: f64,
+    /// Number of strokes.
+    pub strokes: u32,
+}
+
+impl Shaking {
+    /// A single stroke.
+    pub fn once(pitch_deg: f64, shake_mm: f64) -> Self {
+        Self { pitch_deg, shake_mm, strokes: 1 }
+    }
+
+    /// What this action would do from a pitch.
+    pub fn of(from_deg: f64, action: &Action) -> Self {
+        Self {
+            pitch_deg: from_deg + action.incline_change_deg,
+            shake_mm: action.executed_shake_mm(),
+            strokes: action.strokes,
+        }
+    }
+}
+
 impl Fall {
+    /// The shake.
+    pub fn shaking(&self) -> Shaking {
+        Shaking { pitch_deg: self.pitch_deg, shake_mm: self.shake_mm, strokes: self.strokes }
+    }
+
     /// The shakes of a dose and the result of each, from the actions and readings.
     pub fn of(ticks: &[Tick]) -> Vec<Self> {
         let shakes = ticks.windows(2).filter(|pair| pair[1].action.executed_shake_mm() > 0.0);
         let fall = |pair: &[Tick]| Self {
             pitch_deg: pair[1].pitch_deg,
             shake_mm: pair[1].action.shake_mm,
+            strokes: pair[1].action.strokes,
             mass_mg: pair[1].reading.mass_mg - pair[0].reading.mass_mg,
         };
         shakes.map(fall).collect()
@@ -134,33 +172,26 @@ impl Forecast {
         Self { level, level_sd, first_ln_mg, first_sd, ..*self }
     }
 
-    /// Probability that a shake of this amplitude at this pitch releases more than `room_mg`.
+    /// Probability that this shake releases more than `room_mg`.
     pub fn chance_above(
         &self,
         falls: &[Fall],
         readability_mg: f64,
-        pitch_deg: f64,
-        shake_mm: f64,
+        shake: Shaking,
         room_mg: f64,
     ) -> f64 {
-        if shake_mm <= 0.0 {
+        if shake.shake_mm <= 0.0 {
             return 0.0;
         }
-        self.next(falls, readability_mg, pitch_deg, shake_mm).chance_above(room_mg)
+        self.next(falls, readability_mg, shake).chance_above(room_mg)
     }
 
-    /// The mass that such a shake exceeds with probability `risk`, mg.
-    pub fn upper_mg(
-        &self,
-        falls: &[Fall],
-        readability_mg: f64,
-        pitch_deg: f64,
-        shake_mm: f64,
-    ) -> f64 {
-        if shake_mm <= 0.0 {
+    /// The mass that this shake exceeds with probability `risk`, mg.
+    pub fn upper_mg(&self, falls: &[Fall], readability_mg: f64, shake: Shaking) -> f64 {
+        if shake.shake_mm <= 0.0 {
             return 0.0;
         }
-        let next = self.next(falls, readability_mg, pitch_deg, shake_mm);
+        let next = self.next(falls, readability_mg, shake);
         let (mut low, mut high) = (0.0f64, MASS_MG_MAX);
         // Forty bisections of 10 g are below a nanogram.
         for _ in 0..40 {
@@ -170,33 +201,29 @@ impl Forecast {
         high
     }
 
-    /// Expected ratio of the yield of a shake at this pitch and amplitude to that of `reference`.
+    /// Expected ratio of the yield of a stroke at this pitch and amplitude to that of `reference`.
     pub fn worth(&self, fall: &Fall, reference: &Fall) -> f64 {
         let by_amplitude = self.per_ln_mm * libm::log(fall.shake_mm / reference.shake_mm);
         libm::exp(self.per_deg * (fall.pitch_deg - reference.pitch_deg) + by_amplitude)
     }
 
-    fn next(&self, falls: &[Fall], readability_mg: f64, pitch_deg: f64, shake_mm: f64) -> Next {
-        let (level, variance) = self.filtered(falls, readability_mg, pitch_deg, shake_mm);
+    fn next(&self, falls: &[Fall], readability_mg: f64, shake: Shaking) -> Next {
+        let (level, variance) = self.filtered(falls, readability_mg, shake);
         let fallen_mg: f64 = falls.iter().map(|fall| fall.mass_mg).sum();
+        let none = libm::pow(1.0 - self.first_chance, f64::from(shake.strokes));
         let first = (fallen_mg < PIECE_MG).then(|| First {
-            chance: self.first_chance,
-            ln_mg: self.first_ln_mg + FIRST_PER_LN_MM * libm::log(shake_mm),
+            chance: if shake.strokes == 1 { self.first_chance } else { 1.0 - none },
+            ln_mg: self.first_ln_mg + FIRST_PER_LN_MM * libm::log(shake.shake_mm),
             sd: self.first_sd,
         });
         Next { level, sd: (variance + self.scatter.powi(2)).sqrt(), first }
     }
 
     /// Mean and variance of the level of a shake, after these.
-    fn filtered(
-        &self,
-        falls: &[Fall],
-        readability_mg: f64,
-        pitch_deg: f64,
-        shake_mm: f64,
-    ) -> (f64, f64) {
-        let place = |pitch_deg: f64, shake_mm: f64| {
-            self.per_deg * pitch_deg + self.per_ln_mm * libm::log(shake_mm)
+    fn filtered(&self, falls: &[Fall], readability_mg: f64, shake: Shaking) -> (f64, f64) {
+        let place = |shake: Shaking| {
+            let by_strokes = libm::log(f64::from(shake.strokes.max(1)));
+            self.per_deg * shake.pitch_deg + self.per_ln_mm * libm::log(shake.shake_mm) + by_strokes
         };
         // The level with its pitch and amplitude terms removed: only randomness and depletion
         // change it.
@@ -205,19 +232,21 @@ impl Forecast {
             let mass_mg = fall.mass_mg.max(0.0) + DUST_MG;
             let noise = self.scatter.powi(2) + (ROUNDING * readability_mg / mass_mg).powi(2);
             let gain = variance / (variance + noise);
-            at += gain * (libm::log(mass_mg) - place(fall.pitch_deg, fall.shake_mm) - at);
+            at += gain * (libm::log(mass_mg) - place(fall.shaking()) - at);
             variance *= 1.0 - gain;
-            at -= self.spent;
+            at -= f64::from(fall.strokes) * self.spent;
             variance += self.wander.powi(2);
         }
-        (at + place(pitch_deg, shake_mm), variance)
+        (at + place(shake), variance)
     }
 
     /// Initial level of a dose, at 0 deg and 1 mm: the filter's estimate from its first shakes up
     /// to the first piece.
     fn first_level(&self, falls: &[Fall], readability_mg: f64) -> Option<f64> {
         let n = 1 + falls.iter().position(|fall| fall.mass_mg >= PIECE_MG)?;
-        Some(self.filtered(&falls[..n], readability_mg, 0.0, 1.0).0 + self.spent * n as f64)
+        let strokes: u32 = falls[..n].iter().map(|fall| fall.strokes).sum();
+        let level = self.filtered(&falls[..n], readability_mg, Shaking::once(0.0, 1.0)).0;
+        Some(level + self.spent * f64::from(strokes))
     }
 
     /// Logarithm of a dose's first piece, referred to a shake of 1 mm.
@@ -225,6 +254,16 @@ impl Forecast {
         let fall = falls.iter().find(|fall| fall.mass_mg >= PIECE_MG && fall.shake_mm > 0.0)?;
         Some(libm::log(fall.mass_mg) - FIRST_PER_LN_MM * libm::log(fall.shake_mm))
     }
+}
+
+/// Pitch at which a powder began to flow, degrees: the median, over its doses, of the pitch of the
+/// first shake that released a piece; `None` if none did.
+pub fn onset_deg(doses: &[Vec<Fall>], readability_mg: f64) -> Option<f64> {
+    let piece_mg = readability_mg.max(PIECE_MG) - 1e-9;
+    let first = |falls: &Vec<Fall>| falls.iter().find(|fall| fall.mass_mg >= piece_mg).copied();
+    let mut pitches: Vec<f64> = doses.iter().filter_map(first).map(|it| it.pitch_deg).collect();
+    pitches.sort_by(f64::total_cmp);
+    pitches.get(pitches.len() / 2).copied()
 }
 
 /// Posterior mean and standard deviation after these draws, of a prior with half of its variance
@@ -285,7 +324,7 @@ mod tests {
     const GENERIC: Forecast = Forecast::GENERIC;
 
     fn fall(pitch_deg: f64, shake_mm: f64, mass_mg: f64) -> Fall {
-        Fall { pitch_deg, shake_mm, mass_mg }
+        Fall { pitch_deg, shake_mm, strokes: 1, mass_mg }
     }
 
     #[test]
@@ -301,11 +340,14 @@ mod tests {
     #[test]
     fn more_pitch_and_harder_shakes_may_let_more_fall_and_none_lets_nothing() {
         for falls in [vec![], vec![fall(10.0, 3.0, 2.0), fall(12.0, 3.0, 3.0)]] {
-            let upper = |pitch_deg, shake_mm| GENERIC.upper_mg(&falls, 1.0, pitch_deg, shake_mm);
+            let upper = |pitch_deg, shake_mm| {
+                GENERIC.upper_mg(&falls, 1.0, Shaking::once(pitch_deg, shake_mm))
+            };
             assert!(upper(10.0, 2.0) < upper(20.0, 2.0) && upper(10.0, 2.0) < upper(10.0, 8.0));
             assert_eq!(upper(10.0, 0.0), 0.0);
             assert!(
-                (GENERIC.chance_above(&falls, 1.0, 10.0, 2.0, upper(10.0, 2.0)) - GENERIC.risk)
+                (GENERIC.chance_above(&falls, 1.0, Shaking::once(10.0, 2.0), upper(10.0, 2.0))
+                    - GENERIC.risk)
                     .abs()
                     < 1e-6
             );
@@ -314,10 +356,11 @@ mod tests {
 
     #[test]
     fn what_fell_moves_the_forecast() {
-        let after = |mass_mg| GENERIC.upper_mg(&[fall(20.0, 3.0, mass_mg)], 0.1, 20.0, 3.0);
+        let after =
+            |mass_mg| GENERIC.upper_mg(&[fall(20.0, 3.0, mass_mg)], 0.1, Shaking::once(20.0, 3.0));
         assert!(after(1.0) < after(4.0) && after(4.0) < after(20.0));
         let calm: Vec<Fall> = (0..8).map(|_| fall(30.0, 1.0, 1.0)).collect();
-        let upper = GENERIC.upper_mg(&calm, 0.1, 30.0, 1.0);
+        let upper = GENERIC.upper_mg(&calm, 0.1, Shaking::once(30.0, 1.0));
         assert!((1.0..6.0).contains(&upper), "{upper} mg after eight falls of 1 mg");
     }
 
@@ -326,12 +369,12 @@ mod tests {
         // Falls that say nothing: the level sinks by w at each.
         let deaf = Forecast { scatter: 1e9, ..GENERIC };
         let falls = [fall(20.0, 3.0, 2.0); 5];
-        let (level, _) = deaf.filtered(&falls, 1.0, 0.0, 1.0);
+        let (level, _) = deaf.filtered(&falls, 1.0, Shaking::once(0.0, 1.0));
         assert!((level - (GENERIC.level - 5.0 * GENERIC.spent)).abs() < 1e-9, "{level}");
         // One fall, by the equations of the module.
         let said = 2.3f64.ln() - 0.09 * 20.0 - 0.75 * 3.0f64.ln();
         let gain = 0.64 / (0.64 + 0.35f64.powi(2) + (0.41 / 2.3f64).powi(2));
-        let (level, variance) = GENERIC.filtered(&falls[..1], 1.0, 0.0, 1.0);
+        let (level, variance) = GENERIC.filtered(&falls[..1], 1.0, Shaking::once(0.0, 1.0));
         assert!((level - (-2.3 + gain * (said + 2.3) - 0.15)).abs() < 1e-12, "{level}");
         assert!((variance - (0.64 * (1.0 - gain) + 0.09)).abs() < 1e-12, "{variance}");
     }
@@ -339,14 +382,14 @@ mod tests {
     #[test]
     fn a_gentle_first_shake_of_an_unknown_powder_is_no_risk_for_five_milligrams_and_a_hard_one_is()
     {
-        assert!(GENERIC.chance_above(&[], 1.0, 4.0, 1.3, 6.0) < GENERIC.risk);
-        assert!(GENERIC.chance_above(&[], 1.0, 20.0, 16.0, 6.0) > GENERIC.risk);
+        assert!(GENERIC.chance_above(&[], 1.0, Shaking::once(4.0, 1.3), 6.0) < GENERIC.risk);
+        assert!(GENERIC.chance_above(&[], 1.0, Shaking::once(20.0, 16.0), 6.0) > GENERIC.risk);
     }
 
     #[test]
     fn a_powder_that_came_in_large_pieces_before_is_expected_to_do_so_again() {
         let doses = |mass_mg: f64| vec![vec![fall(8.0, 3.0, 0.0), fall(12.0, 3.0, mass_mg)]; 5];
-        let upper = |forecast: &Forecast| forecast.upper_mg(&[], 1.0, 12.0, 3.0);
+        let upper = |forecast: &Forecast| forecast.upper_mg(&[], 1.0, Shaking::once(12.0, 3.0));
         let [small, large] =
             [1.0, 12.0].map(|mass_mg| upper(&GENERIC.informed(&doses(mass_mg), 1.0)));
         assert!(
@@ -363,6 +406,31 @@ mod tests {
     }
 
     #[test]
+    fn more_strokes_before_a_reading_may_let_more_fall_and_say_more_about_each() {
+        let strokes = |strokes| Shaking { strokes, ..Shaking::once(40.0, 4.0) };
+        for falls in [vec![], vec![fall(38.0, 4.0, 1.0), fall(40.0, 4.0, 1.0)]] {
+            let upper = |n| GENERIC.upper_mg(&falls, 1.0, strokes(n));
+            assert!(upper(1) < upper(2) && upper(2) < upper(8));
+        }
+        // 8 mg in eight strokes is 1 mg in one, and spends as much as eight.
+        let level = |strokes, mass_mg| {
+            let free = Forecast { spent: 0.0, scatter: 0.0, level_sd: 1e6, ..GENERIC };
+            let fell = Fall { strokes, ..fall(40.0, 4.0, mass_mg - DUST_MG) };
+            free.filtered(&[fell], 0.0, Shaking::once(40.0, 4.0)).0
+        };
+        assert!((level(8, 8.0) - level(1, 1.0)).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_powders_onset_is_the_median_pitch_of_its_first_pieces() {
+        let dose =
+            |onset: f64| vec![fall(8.0, 3.0, 0.0), fall(onset, 3.0, 2.0), fall(50.0, 3.0, 9.0)];
+        assert_eq!(onset_deg(&[dose(46.0), dose(20.0), dose(48.0)], 1.0), Some(46.0));
+        assert_eq!(onset_deg(&[vec![fall(8.0, 3.0, 0.4)]], 0.1), None);
+        assert_eq!(onset_deg(&[], 1.0), None);
+    }
+
+    #[test]
     fn nothing_that_can_be_read_makes_the_bound_not_a_number() {
         let odd = [
             fall(10.0, 3.0, f64::NAN),
@@ -370,6 +438,6 @@ mod tests {
             fall(50.0, 16.0, -40.0),
             fall(50.0, 16.0, 1e6),
         ];
-        assert!(GENERIC.upper_mg(&odd, 1.0, 50.0, 16.0).is_finite());
+        assert!(GENERIC.upper_mg(&odd, 1.0, Shaking::once(50.0, 16.0)).is_finite());
     }
 }

@@ -3,18 +3,18 @@
 //! Only actions returned by [`guard`] reach a device. It is a pure function of the readings and
 //! actions so far, so every rule can be tested as a table.
 
-use super::forecast::{Fall, Forecast};
+use super::forecast::{Fall, Forecast, Shaking};
 use super::silence::Silence;
 use flip_core::domain::bench::{
-    Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX, SHAKE_MM_MIN,
+    Action, INCLINE_CHANGE_DEG_MAX, PitchLimits, Reading, SHAKE_MM_MAX, SHAKE_MM_MIN, STROKES_MAX,
 };
 use flip_core::domain::vial::VialFlaw;
 use serde::Serialize;
 
 /// The pitch counts as at its end within this distance of its upper limit, degrees.
-const AT_THE_END_DEG: f64 = 0.5;
+pub(super) const AT_THE_END_DEG: f64 = 0.5;
 /// A shake of at least this fraction of the largest amplitude is a full one.
-const FULL: f64 = 0.95;
+pub(super) const FULL: f64 = 0.95;
 /// Factor from one tried amplitude to the next: the square root of a half.
 const GENTLER: f64 = std::f64::consts::FRAC_1_SQRT_2;
 /// Step from one tried lower pitch to the next, degrees.
@@ -37,19 +37,18 @@ pub struct Limits {
     /// A reading may rise by this much in a step without a shake, mg. Default 3, as above; on
     /// simulated spoons, inclining alone never released more than 0.5 mg.
     pub rise_mg_max: f64,
-    /// This many full shakes in a row at the end of the pitch that release nothing mean a blocked
-    /// spoon. Default 3.
-    pub blocked_shakes: usize,
-    /// If shakes that together should release this many times the last nonzero yield release
-    /// nothing, the spoon is blocked or the balance is stuck. Default 8: the gentlest shakes at the
-    /// end of a dose may take five for one step of the display.
-    pub deaf_shakes: f64,
+    /// This many full strokes in a row at the end of the pitch that release nothing mean a blocked
+    /// spoon. Default 15: one, two, four and eight (`ladder.rs`).
+    pub blocked_strokes: u32,
     /// Prior probability that a display is stuck. Default 0.003: far above that of real balances,
     /// because poured powder cannot be taken back (cost and benefit in `docs/reliability.md`). 0:
     /// the display is trusted.
     pub stands_still: f64,
     /// Step of the balance's display, mg.
     pub readability_mg: f64,
+    /// A smaller rise of the display is its noise and no powder, mg: a step of the display, or three
+    /// standard deviations of the difference of two readings at rest.
+    pub piece_mg: f64,
     /// Forecast of the next shake; `None`: not used.
     pub forecast: Option<Forecast>,
 }
@@ -60,13 +59,7 @@ impl Limits {
 
     /// The same for an episode, which runs to its end whatever the spoon does.
     pub fn lenient(self) -> Self {
-        Self {
-            rise_mg_max: f64::INFINITY,
-            blocked_shakes: usize::MAX,
-            deaf_shakes: f64::INFINITY,
-            stands_still: 0.0,
-            ..self
-        }
+        Self { rise_mg_max: f64::INFINITY, blocked_strokes: u32::MAX, stands_still: 0.0, ..self }
     }
 
     /// Limits of a weighing within this frame.
@@ -78,10 +71,10 @@ impl Limits {
             seconds_max: f64::INFINITY,
             fall_mg_max: Self::FALL_MG_MAX,
             rise_mg_max: 3.0,
-            blocked_shakes: 3,
-            deaf_shakes: 8.0,
+            blocked_strokes: 2 * STROKES_MAX - 1,
             stands_still: 0.003,
             readability_mg: 1.0,
+            piece_mg: 1.0,
             forecast: None,
         }
     }
@@ -191,13 +184,15 @@ pub enum Halt {
         /// Room up to the target plus its tolerance, mg.
         room_mg: f64,
     },
-    /// Full shakes at the end of the pitch release nothing.
+    /// Full strokes at the end of the pitch release nothing.
     #[error(
-        "the last {shakes} full shakes at the end of the pitch gave nothing: the spoon is empty or blocked"
+        "the last {strokes} full strokes at the end of the pitch, {pitch_deg:.0} deg, gave nothing: the spoon is empty or blocked"
     )]
     Blocked {
-        /// Number of shakes.
-        shakes: usize,
+        /// Number of strokes.
+        strokes: u32,
+        /// The end of the pitch, degrees.
+        pitch_deg: f64,
     },
     /// A spoon that released powder before no longer does, or the display should have changed by
     /// now and the mass it may hide leaves no room.
@@ -282,7 +277,7 @@ impl Halt {
 /// Decide which action may be carried out: the proposal, clamped to its bounds and the spoon's, and
 /// gentle enough that the dose exceeds its tolerance only with a small probability.
 ///
-/// A proposal that might release too much is first made gentler, then, if even the smallest shake
+/// A proposal that might release too much is first made shorter and gentler, then, if even the smallest shake
 /// is too much at that pitch, moved to a lower pitch. The pitch change per step is bounded and each
 /// step waits for a fresh reading, which bounds its rate.
 ///
@@ -309,8 +304,11 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     if seen.seconds >= limits.seconds_max {
         return Err(Halt::TimeSpent);
     }
-    if is_blocked(limits, seen.falls) {
-        return Err(Halt::Blocked { shakes: limits.blocked_shakes });
+    if let Some(strokes) = silent_at_the_end(limits, seen.falls)
+        && strokes >= limits.blocked_strokes
+        && seen.pitch_deg > limits.pitch.upper_deg - AT_THE_END_DEG
+    {
+        return Err(Halt::Blocked { strokes, pitch_deg: limits.pitch.upper_deg });
     }
     if let Some(shakes) = deaf(limits, seen.falls).filter(|_| seen.unproven.is_none()) {
         return Err(Halt::Deaf { shakes });
@@ -331,13 +329,12 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
 /// Either the display did not change at the last shake, or it moved as a load cell does while
 /// settling, and stopped before it had settled: as much again may then have fallen as it shows.
 fn is_in_doubt(limits: &Limits, seen: &Situation<'_>, action: Action) -> bool {
-    let (pitch_deg, shake_mm) =
-        (seen.pitch_deg + action.incline_change_deg, action.executed_shake_mm());
-    let Some(unproven) = seen.unproven.filter(|_| shake_mm > 0.0) else { return false };
+    let shake = Shaking::of(seen.pitch_deg, &action);
+    let Some(unproven) = seen.unproven.filter(|_| shake.shake_mm > 0.0) else { return false };
     let fell_mg = seen.falls.last().map_or(0.0, |fall| fall.mass_mg.max(0.0));
     let room_mg = seen.target_mg + seen.tolerance_upper_mg - seen.now.mass_mg - fell_mg;
     let chance = |forecast: &Forecast| {
-        forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg)
+        forecast.chance_above(seen.falls, limits.readability_mg, shake, room_mg)
     };
     unproven > 0
         || (!seen.is_felt
@@ -367,41 +364,66 @@ fn is_usable(limits: &Limits, seen: &Situation<'_>) -> Result<(), Halt> {
     Ok(())
 }
 
-fn is_blocked(limits: &Limits, falls: &[Fall]) -> bool {
-    let Some(first) = falls.len().checked_sub(limits.blocked_shakes) else { return false };
-    let gave_nothing = |fall: &Fall| {
+/// Strokes of the latest full shakes at the end of the pitch, if together they released nothing
+/// that the balance tells from its noise; `None` if there are none or something fell.
+pub(super) fn silent_at_the_end(limits: &Limits, falls: &[Fall]) -> Option<u32> {
+    let is_full = |fall: &&Fall| {
         fall.pitch_deg > limits.pitch.upper_deg - AT_THE_END_DEG
             && fall.shake_mm >= FULL * limits.shake_mm_max
-            && fall.mass_mg < limits.readability_mg - 1e-9
     };
-    limits.blocked_shakes > 0 && falls[first..].iter().all(gave_nothing)
+    let (mut strokes, mut fell_mg) = (0, 0.0);
+    for fall in falls.iter().rev().take_while(is_full) {
+        fell_mg += fall.mass_mg;
+        if fell_mg >= limits.piece_mg - 1e-9 {
+            break;
+        }
+        strokes += fall.strokes;
+    }
+    (strokes > 0).then_some(strokes)
 }
 
-/// How many shakes released nothing since the last fall, if those at no lower pitch and no smaller
-/// amplitude were together worth many times that one.
+/// Number of the latest shakes that released nothing, if a display that is alive would hardly have
+/// been silent for so long.
+///
+/// Pieces of powder come at random, in proportion to what a stroke is worth by pitch and amplitude:
+/// k pieces in strokes worth W, relative to the last one that released something, then none in
+/// strokes worth w. With Jeffreys' prior for their rate,
+///
+/// ```text
+/// P(none | alive) = (W / (W + w))^(k + 1/2)                    the display is stuck with odds p : P(none | alive)
+/// ```
+///
+/// Only strokes at no lower pitch and no smaller amplitude than the last one that released
+/// something count in w.
 fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
-    let gave = |fall: &Fall| fall.mass_mg > limits.readability_mg - 1e-9;
-    let last = falls.iter().rposition(gave)?;
-    let (since, last) = (&falls[last + 1..], falls[last]);
+    let gave = |fall: &Fall| fall.mass_mg >= limits.piece_mg - 1e-9;
+    let at = falls.iter().rposition(gave)?;
+    let (until, since, last) = (&falls[..=at], &falls[at + 1..], falls[at]);
     let should_give = |fall: &&Fall| {
         fall.pitch_deg > last.pitch_deg - AT_THE_END_DEG && fall.shake_mm >= FULL * last.shake_mm
     };
-    let worth = |fall: &Fall| limits.forecast.map_or(1.0, |forecast| forecast.worth(fall, &last));
-    let all: f64 = since.iter().filter(should_give).map(worth).sum();
-    (all >= limits.deaf_shakes).then_some(since.len())
+    let worth = |fall: &Fall| {
+        let stroke = limits.forecast.map_or(1.0, |forecast| forecast.worth(fall, &last));
+        f64::from(fall.strokes) * stroke
+    };
+    let pieces = until.iter().filter(|fall| gave(fall)).count() as f64;
+    let before: f64 = until.iter().map(worth).sum();
+    let silent: f64 = since.iter().filter(should_give).map(worth).sum();
+    let alive = libm::pow(before / (before + silent), pieces + 0.5);
+    (alive < limits.stands_still).then_some(since.len())
 }
 
 fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {
     let change = proposed.incline_change_deg.clamp(-INCLINE_CHANGE_DEG_MAX, INCLINE_CHANGE_DEG_MAX);
     let pitch = (pitch_deg + change).clamp(limits.pitch.lower_deg, limits.pitch.upper_deg);
     Action {
-        incline_change_deg: pitch - pitch_deg,
-        shake_mm: proposed.shake_mm.clamp(0.0, limits.shake_mm_max),
+        strokes: proposed.strokes.clamp(1, STROKES_MAX),
+        ..Action::once(pitch - pitch_deg, proposed.shake_mm.clamp(0.0, limits.shake_mm_max))
     }
 }
 
-/// The first candidate whose forecast leaves room: the action itself, gentler ones at its pitch,
-/// the gentlest ones at lower pitches.
+/// The first candidate whose forecast leaves room: the action itself, fewer strokes, gentler ones at
+/// its pitch, the gentlest ones at lower pitches.
 fn gentle(
     limits: &Limits,
     forecast: &Forecast,
@@ -411,45 +433,42 @@ fn gentle(
     proposed: Action,
 ) -> Result<Allowed, Halt> {
     let room_mg = seen.target_mg + seen.tolerance_upper_mg - seen.now.mass_mg;
-    let pitch_of = |action: &Action| seen.pitch_deg + action.incline_change_deg;
+    let shake_of = |action: &Action| Shaking::of(seen.pitch_deg, action);
     let has_room = |action: &Action| {
-        let (pitch_deg, shake_mm) = (pitch_of(action), action.executed_shake_mm());
-        let chance =
-            forecast.chance_above(seen.falls, limits.readability_mg, pitch_deg, shake_mm, room_mg);
+        let shake = shake_of(action);
+        let chance = forecast.chance_above(seen.falls, limits.readability_mg, shake, room_mg);
         (chance <= forecast.risk).then_some(chance)
     };
     let is_safe = |action: &Action| {
-        let (pitch_deg, shake_mm) = (pitch_of(action), action.executed_shake_mm());
+        let shake = shake_of(action);
         has_room(action).is_some_and(|chance| {
-            let hidden = |it: &Silence| it.chance_above(chance, pitch_deg, shake_mm, room_mg);
-            shake_mm <= 0.0 || silence.map_or(chance, hidden) <= forecast.risk
+            let hidden = |it: &Silence| it.chance_above(chance, shake, room_mg);
+            shake.shake_mm <= 0.0 || silence.map_or(chance, hidden) <= forecast.risk
         })
     };
-    let upper_mg = |action: &Action| {
-        forecast.upper_mg(
-            seen.falls,
-            limits.readability_mg,
-            pitch_of(action),
-            action.executed_shake_mm(),
-        )
-    };
+    let upper_mg =
+        |action: &Action| forecast.upper_mg(seen.falls, limits.readability_mg, shake_of(action));
     if is_safe(&action) {
         return Ok(Allowed { action, cut: (action != proposed).then_some(Cut::Bounds) });
     }
     let cut = Some(Cut::Gentler { upper_mg: upper_mg(&action), room_mg });
-    let gentlest = Action { shake_mm: SHAKE_MM_MIN, ..action };
+    let fewer = std::iter::successors(Some(action.strokes / 2), |strokes| Some(strokes / 2))
+        .take_while(|strokes| *strokes > 0)
+        .map(|strokes| Action { strokes, ..action });
+    let single = Action { strokes: 1, ..action };
+    let gentlest = Action { shake_mm: SHAKE_MM_MIN, ..single };
     let gentler =
         std::iter::successors(Some(GENTLER * action.shake_mm), |shake_mm| Some(GENTLER * shake_mm))
             .take_while(|shake_mm| *shake_mm > SHAKE_MM_MIN)
-            .map(|shake_mm| Action { shake_mm, ..action })
+            .map(|shake_mm| Action { shake_mm, ..single })
             .chain([gentlest]);
     let lowest_deg = (seen.pitch_deg - INCLINE_CHANGE_DEG_MAX).max(limits.pitch.lower_deg);
     let lower = (1..)
-        .map(|k| pitch_of(&action) - f64::from(k) * LOWER_DEG)
+        .map(|k| shake_of(&action).pitch_deg - f64::from(k) * LOWER_DEG)
         .take_while(|pitch_deg| *pitch_deg > lowest_deg)
         .chain([lowest_deg])
         .map(|pitch_deg| Action { incline_change_deg: pitch_deg - seen.pitch_deg, ..gentlest });
-    if let Some(action) = gentler.chain(lower).find(is_safe) {
+    if let Some(action) = fewer.chain(gentler).chain(lower).find(is_safe) {
         return Ok(Allowed { action, cut });
     }
     let last = Action { incline_change_deg: lowest_deg - seen.pitch_deg, ..gentlest };

@@ -32,11 +32,11 @@ fn seen(falls: &[Fall]) -> Situation<'_> {
 }
 
 fn action(incline_change_deg: f64, shake_mm: f64) -> Action {
-    Action { incline_change_deg, shake_mm }
+    Action::once(incline_change_deg, shake_mm)
 }
 
 fn fall(pitch_deg: f64, shake_mm: f64, mass_mg: f64) -> Fall {
-    Fall { pitch_deg, shake_mm, mass_mg }
+    Fall { pitch_deg, shake_mm, strokes: 1, mass_mg }
 }
 
 #[test]
@@ -89,19 +89,32 @@ fn what_is_wrong_with_the_reading_counts_before_a_target_that_is_reached() {
 }
 
 #[test]
-fn a_spoon_is_blocked_when_full_shakes_at_the_end_of_the_pitch_give_nothing() {
-    let dry = fall(36.0, 16.0, 0.0);
+fn a_spoon_is_blocked_when_full_strokes_at_the_end_of_the_pitch_give_nothing() {
+    let dry = |strokes| Fall { strokes, ..fall(36.0, 16.0, 0.0) };
+    let ladder = vec![dry(1), dry(2), dry(4), dry(8)];
+    let after = |first: Fall| [vec![first], ladder.clone()].concat();
+    let with = |last: Fall| [ladder.clone(), vec![last]].concat();
     for (falls, is_blocked) in [
-        (vec![dry, dry, dry], true),
-        (vec![fall(36.0, 16.0, 3.0), dry, dry, dry], true),
-        (vec![dry, dry], false),
-        (vec![dry, dry, fall(36.0, 16.0, 1.0)], false),
-        (vec![dry, dry, fall(36.0, 12.0, 0.0)], false),
-        (vec![dry, dry, fall(30.0, 16.0, 0.0)], false),
+        (ladder.clone(), true),
+        (vec![dry(1); 15], true),
+        (vec![dry(1); 14], false),
+        (after(fall(36.0, 16.0, 3.0)), true),
+        (with(fall(36.0, 16.0, 1.0)), false),
+        (with(fall(36.0, 12.0, 0.0)), false),
+        (with(fall(30.0, 16.0, 0.0)), false),
+        (vec![Fall { mass_mg: 0.4, ..dry(5) }; 3], false),
     ] {
-        let found = guard(&limits(), &seen(&falls), action(0.0, 16.0));
-        assert_eq!(found == Err(Halt::Blocked { shakes: 3 }), is_blocked, "{falls:?}");
+        let found =
+            guard(&limits(), &Situation { pitch_deg: 36.0, ..seen(&falls) }, action(0.0, 16.0));
+        let halted = matches!(found, Err(Halt::Blocked { .. }));
+        assert_eq!(halted, is_blocked, "{falls:?}");
     }
+    // The display's noise is no powder.
+    let noisy = Limits { readability_mg: 0.1, piece_mg: 0.5, ..limits() };
+    let noise: Vec<Fall> =
+        [0.2, -0.1, 0.1, -0.2].map(|mass_mg| Fall { mass_mg, ..dry(4) }).to_vec();
+    let found = guard(&noisy, &Situation { pitch_deg: 36.0, ..seen(&noise) }, action(0.0, 16.0));
+    assert_eq!(found, Err(Halt::Blocked { strokes: 16, pitch_deg: 36.0 }));
 }
 
 #[test]
@@ -137,35 +150,55 @@ fn what_might_let_too_much_fall_is_made_gentler_then_lower_then_ends_the_dose() 
 }
 
 #[test]
-fn shakes_that_should_give_and_do_not_end_a_dose_after_something_has_fallen() {
-    let limits = Limits::new(PitchLimits::PAPER, 30);
+fn a_display_is_stuck_when_shakes_that_should_give_are_silent_for_longer_than_chance_allows() {
+    let limits = Limits { stands_still: 0.003, ..Limits::new(PitchLimits::PAPER, 99) };
+    let gave = |n: usize| vec![fall(20.0, 4.0, 2.0); n];
     let silent = |n: usize, pitch_deg: f64, shake_mm: f64| vec![fall(pitch_deg, shake_mm, 0.0); n];
+    // (k / (k + w))^(k + 1/2) is below 0.003 from w = 9.4 for k = 5, and from 47.1 for k = 1.
     for (falls, expected) in [
-        (silent(12, 20.0, 4.0), false),
-        ([vec![fall(20.0, 4.0, 2.0)], silent(7, 20.0, 4.0)].concat(), false),
-        ([vec![fall(20.0, 4.0, 2.0)], silent(8, 20.0, 4.0)].concat(), true),
+        (silent(60, 20.0, 4.0), false),
+        ([gave(5), silent(9, 20.0, 4.0)].concat(), false),
+        ([gave(5), silent(10, 20.0, 4.0)].concat(), true),
+        ([gave(1), silent(47, 20.0, 4.0)].concat(), false),
+        ([gave(1), silent(48, 20.0, 4.0)].concat(), true),
         // Gentler ones, or ones at a lower pitch, may well release nothing.
-        ([vec![fall(20.0, 4.0, 2.0)], silent(12, 20.0, 2.0)].concat(), false),
-        ([vec![fall(20.0, 4.0, 2.0)], silent(12, 16.0, 4.0)].concat(), false),
+        ([gave(5), silent(60, 20.0, 2.0)].concat(), false),
+        ([gave(5), silent(60, 16.0, 4.0)].concat(), false),
+        ([gave(5), silent(10, 20.0, 4.0), vec![fall(24.0, 4.0, 1.0)]].concat(), false),
+        // A powder that came in two pieces of ten shakes each may take as long for the third.
         (
-            [vec![fall(20.0, 4.0, 2.0)], silent(8, 20.0, 4.0), vec![fall(24.0, 4.0, 1.0)]].concat(),
+            [silent(10, 20.0, 4.0), gave(1), silent(10, 20.0, 4.0), gave(1), silent(30, 20.0, 4.0)]
+                .concat(),
             false,
         ),
     ] {
-        let situation = Situation { steps: 20, ..seen(&falls) };
-        let halted = matches!(guard(&limits, &situation, action(0.0, 4.0)), Err(Halt::Deaf { .. }));
-        assert_eq!(halted, expected, "{falls:?}");
+        assert_eq!(deaf(&limits, &falls).is_some(), expected, "{falls:?}");
     }
+    // A step of eight strokes is worth eight.
+    let step = Fall { strokes: 8, ..fall(20.0, 4.0, 0.0) };
+    assert!(deaf(&limits, &[gave(5), vec![step]].concat()).is_none());
+    assert!(deaf(&limits, &[gave(5), vec![step, step]].concat()).is_some());
+}
+
+#[test]
+fn noise_of_the_display_is_no_powder_to_wait_for() {
+    // A display of 0.1 mg that flickered at 4 deg, where nothing falls: harder shakes that follow
+    // are worth many times that flicker.
+    let flicker = vec![fall(4.4, 1.0, 0.1), fall(4.4, 1.0, 0.1)];
+    let falls = [flicker, vec![fall(20.0, 8.0, 0.0); 9]].concat();
+    let fine = Limits { readability_mg: 0.1, ..careful() };
+    assert!(deaf(&Limits { piece_mg: 0.1, ..fine }, &falls).is_some());
+    assert!(deaf(&Limits { piece_mg: 0.45, ..fine }, &falls).is_none());
 }
 
 #[test]
 fn harder_shakes_that_give_nothing_count_for_more() {
     let falls = |n: usize, shake_mm: f64| {
-        [vec![fall(20.0, 2.0, 2.0)], vec![fall(20.0, shake_mm, 0.0); n]].concat()
+        [vec![fall(20.0, 2.0, 2.0); 5], vec![fall(20.0, shake_mm, 0.0); n]].concat()
     };
     // With an exponent of 0.75, a shake four times as large is worth 2.8.
     for (n, shake_mm, expected) in
-        [(7, 2.0, false), (8, 2.0, true), (2, 8.0, false), (3, 8.0, true)]
+        [(9, 2.0, false), (10, 2.0, true), (3, 8.0, false), (4, 8.0, true)]
     {
         assert_eq!(
             deaf(&careful(), &falls(n, shake_mm)).is_some(),
@@ -182,7 +215,7 @@ fn what_a_standing_display_may_hide_is_no_room_for_more_and_its_dose_does_not_en
     let silent = |n: usize| {
         [gave.clone(), (0..n).map(|k| fall(22.0 + k as f64, 4.0, 0.0)).collect()].concat()
     };
-    let doubting = Limits { readability_mg: 0.1, deaf_shakes: f64::INFINITY, ..careful() };
+    let doubting = Limits { readability_mg: 0.1, ..careful() };
     let at = |limits: &Limits, falls: &[Fall], steps: u32| {
         let pitch_deg = falls.last().map_or(0.0, |fall| fall.pitch_deg);
         let situation =
@@ -241,7 +274,7 @@ fn a_display_that_was_not_seen_to_come_to_rest_may_hide_as_much_again() {
             is_felt,
             ..seen(&gave)
         };
-        let upper_mg = Forecast::GENERIC.upper_mg(&gave, 1.0, 20.0, 2.0);
+        let upper_mg = Forecast::GENERIC.upper_mg(&gave, 1.0, Shaking::once(20.0, 2.0));
         (
             guard(&careful(), &situation, action(0.0, 2.0)).map(|allowed| allowed.action),
             16.0 - now_mg - upper_mg,
@@ -258,12 +291,12 @@ fn a_display_that_was_not_seen_to_come_to_rest_may_hide_as_much_again() {
 
 #[test]
 fn where_signs_of_life_are_waited_for_a_silent_spoon_is_believed() {
-    let falls = [vec![fall(20.0, 4.0, 2.0)], vec![fall(20.0, 4.0, 0.0); 8]].concat();
+    let falls = [vec![fall(20.0, 4.0, 2.0); 5], vec![fall(20.0, 4.0, 0.0); 10]].concat();
     let limits = Limits { steps_max: 30, ..careful() };
     let at = |unproven| {
         guard(&limits, &Situation { steps: 20, unproven, ..seen(&falls) }, action(0.0, 4.0))
     };
-    assert_eq!(at(None), Err(Halt::Deaf { shakes: 8 }));
+    assert_eq!(at(None), Err(Halt::Deaf { shakes: 10 }));
     assert!(at(Some(0)).is_ok());
 }
 
@@ -291,7 +324,8 @@ proptest! {
             let pitch_deg = pitch_deg + action.incline_change_deg;
             prop_assert!((-10.0 - 1e-9..=36.0 + 1e-9).contains(&pitch_deg) && action.incline_change_deg.abs() <= 8.0 + 1e-9);
             prop_assert!((0.0..=16.0).contains(&action.shake_mm) && action.shake_mm <= shake_mm.max(SHAKE_MM_MIN));
-            let upper_mg = Forecast::GENERIC.upper_mg(&falls, readability_mg, pitch_deg, action.executed_shake_mm());
+            let shake = Shaking { pitch_deg, ..Shaking::of(0.0, &action) };
+            let upper_mg = Forecast::GENERIC.upper_mg(&falls, readability_mg, shake);
             prop_assert!(now_mg + upper_mg <= 16.0 + 1e-6, "{upper_mg} mg on {now_mg} mg");
             prop_assert!(cut.is_some() || action.shake_mm == shake_mm);
         }

@@ -4,8 +4,9 @@
 //! ```text
 //!  [ARMED]  stand, approach, tare, rest    drift before, spoon filled and level over the vial, zero: the mean of the tared display
 //!     |
-//!  [DOSING] --> read, propose, guard, record, act: one step --+
-//!     |   ^---------------------------------------------------+     what would end it is looked at closer first
+//!  [DOSING] --> read, propose, lift, guard, record, act: one step --+
+//!     |   ^---------------------------------------------------------+     what would end it is looked at closer first
+//!     |   ^--- loosen, new spoonful <--- nothing falls (`ladder.rs`)
 //!     |  on target, target reached, no room, steps or time spent, blocked, halted, stopped, device failed, panic
 //!     v
 //!  [SETTLING]  level, retract, stand, rest final reading, drift after      --> within, under, over, not_stable, blocked,
@@ -19,10 +20,12 @@
 //! nothing moves unless it can be recorded.
 
 mod closer;
+mod dosing;
 mod ending;
 mod event;
 pub mod forecast;
 pub mod guard;
+mod ladder;
 mod result;
 mod settings;
 pub mod silence;
@@ -33,11 +36,10 @@ pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg};
 pub use settings::Settings;
 
 use crate::hardware::{Bench, DeviceError};
-use flip_core::domain::bench::{Action, Reach, Reading, Standing, Tare, Tick};
+use flip_core::domain::bench::{Reach, Reading, Standing, Tare, Tick};
 use flip_core::domain::weighing::Outcome;
 use flip_policy::{Controller, Episode, Observation, Rules};
-use forecast::Fall;
-use guard::{Halt, Limits, Situation, guard};
+use guard::Halt;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -263,133 +265,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    /// The steps from the tare until something ends them.
-    fn dose(
-        &mut self,
-        controller: &Controller,
-        rules: &Rules,
-        reach: &Reach,
-    ) -> Result<End, Halted> {
-        // The narrower of the policy's frame and the arm's range.
-        let rules = &Rules { pitch: reach.pitch, ..*rules };
-        let tared_s = self.bench.elapsed_s();
-        let readability_mg = self.order.readability_mg;
-        let Settings { seconds_max, forecast, strict, .. } = *self.settings;
-        let usual = Limits::new(rules.pitch, rules.steps_max);
-        let usual = if strict { usual } else { usual.lenient() };
-        let limits = Limits {
-            seconds_max,
-            readability_mg,
-            forecast,
-            shake_mm_max: reach.shake_mm_max,
-            ..usual
-        };
-        self.tell(&Event::Phase(Phase::Dosing))?;
-        let (first, mut moved_s, mut shaken) = (self.bench.read()?, tared_s, false);
-        self.record(0, tared_s, Action::default(), first)?;
-        let mut now = self.net(first);
-        // The tare stands in for the reading before the first: a vial lifted since then shows at
-        // once.
-        let mut before = Reading { mass_mg: 0.0, stable: true };
-        self.is_tared(before, now)?;
-        let mut dosing = controller.begin(rules, readability_mg);
-        let mut falls: Vec<Fall> = Vec::new();
-        for steps in 0.. {
-            self.go_on()?;
-            let mut is_sure = !self.looks_closer() || !now.stable;
-            let is_zeroed = closer::is_zeroed(before, now, readability_mg);
-            if !is_sure && (is_zeroed || self.would_end(rules, steps, now)) {
-                (now, is_sure) = (self.look_closer()?, true);
-                if is_zeroed && closer::is_zeroed(before, now, readability_mg) {
-                    self.must_look = true;
-                    return Err(Halted::Guard(Halt::Zeroed {
-                        fell_mg: before.mass_mg - now.mass_mg,
-                    }));
-                }
-            }
-            let read_s = self.bench.elapsed_s();
-            let seen = self.seen(now);
-            let situation = Situation {
-                target_mg: self.order.target_mg,
-                tolerance_upper_mg: self.order.tolerance_upper_mg,
-                steps,
-                seconds: read_s - tared_s,
-                moved_s,
-                read_s,
-                pitch_deg: seen.pitch_deg,
-                before,
-                now,
-                shaken,
-                falls: &[],
-                unproven: self.unproven(),
-                is_felt: self.is_felt(),
-            };
-            let proposed = dosing.propose(&seen);
-            let mut allowed = guard(&limits, &Situation { falls: &falls, ..situation }, proposed);
-            if !is_sure && matches!(allowed, Err(Halt::NoRoom { .. } | Halt::TargetReached)) {
-                now = self.look_closer()?;
-                let (read_s, unproven, is_felt) =
-                    (self.bench.elapsed_s(), self.unproven(), self.is_felt());
-                let situation =
-                    Situation { now, read_s, unproven, is_felt, falls: &falls, ..situation };
-                allowed = guard(&limits, &situation, proposed);
-            }
-            let is_done = self.would_end(rules, steps, now);
-            if is_done && allowed.as_ref().map_or_else(Halt::is_of_the_spoon, |_| true) {
-                return Ok(End::Course(None));
-            }
-            if matches!(allowed, Err(Halt::Unproven)) && self.shows_life()? {
-                // The display is now known to be alive, and no shake is in doubt any more.
-                let shown = self.bench.read()?;
-                let shown = self.net(shown);
-                // The step since the last shake may have been an incline.
-                if let Some(last) = falls.last_mut() {
-                    last.mass_mg += shown.mass_mg - now.mass_mg;
-                }
-                now = shown;
-                let read_s = self.bench.elapsed_s();
-                let situation = Situation {
-                    now,
-                    read_s,
-                    unproven: Some(0),
-                    is_felt: true,
-                    falls: &falls,
-                    ..situation
-                };
-                allowed = guard(&limits, &situation, proposed);
-            }
-            self.tell(&Event::Decision(&Decision::new(steps + 1, proposed, &allowed)))?;
-            let action = match allowed {
-                Ok(allowed) => allowed.action,
-                Err(halt) => {
-                    self.must_look |= halt == Halt::Unproven;
-                    return Ok(End::of(halt));
-                }
-            };
-            // Sending the event may have taken time.
-            self.go_on()?;
-            self.bench.act(action)?;
-            moved_s = self.bench.elapsed_s();
-            before = now;
-            let shown = self.bench.read()?;
-            now = self.net(shown);
-            self.is_tared(before, now)?;
-            shaken = action.executed_shake_mm() > 0.0;
-            if shaken {
-                let mass_mg = now.mass_mg - before.mass_mg;
-                falls.push(Fall {
-                    pitch_deg: self.bench.pitch_deg(),
-                    shake_mm: action.shake_mm,
-                    mass_mg,
-                });
-                self.shaken_s.push(moved_s);
-            }
-            self.record(steps + 1, tared_s, action, shown)?;
-        }
-        Ok(End::of(Halt::StepsSpent))
-    }
-
-    /// The controller's observation for this reading.
+    /// The observation for this reading.
     fn seen(&self, now: Reading) -> Observation {
         let (target_mg, pitch_deg) = (self.order.target_mg, self.bench.pitch_deg());
         Observation { reading_mg: now.mass_mg, target_mg, pitch_deg }
@@ -430,24 +306,6 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
                 return Ok(true);
             }
         }
-    }
-
-    fn record(
-        &mut self,
-        step: u32,
-        tared_s: f64,
-        action: Action,
-        reading: Reading,
-    ) -> Result<(), Halted> {
-        let tick = Tick {
-            step,
-            t_s: self.bench.elapsed_s() - tared_s,
-            pitch_deg: self.bench.pitch_deg(),
-            action,
-            reading,
-        };
-        self.ticks.push(tick);
-        self.tell(&Event::Tick(&tick))
     }
 }
 

@@ -20,8 +20,15 @@ pub struct Settings {
     /// How long to wait for the display to change before the next shake, if it did not change at
     /// the last one, s; 0: no wait.
     pub life_s: f64,
-    /// A spoon that releases nothing, and mass that appears without a shake, end the weighing.
+    /// A spoon that releases nothing, and mass that appears without a shake, end the weighing; and
+    /// what a stuck powder needs is tried before (`ladder.rs`).
     pub strict: bool,
+    /// Pitch at which the powder began to flow in earlier doses, degrees, if known.
+    pub onset_deg: Option<f64>,
+    /// What a full spoon holds, mg, if known.
+    pub spoon_mg: Option<f64>,
+    /// Most fillings of the spoon for one dose, where the bench can fill it.
+    pub spoonfuls_max: u32,
     /// Prior for the powder; `None`: the guard uses no forecast.
     pub forecast: Option<Forecast>,
     /// Known accuracy of the balance.
@@ -40,10 +47,22 @@ impl Settings {
         seconds_max: 600.0,
         life_s: 60.0,
         strict: true,
+        onset_deg: None,
+        spoon_mg: None,
+        spoonfuls_max: 3,
         forecast: Some(Forecast::GENERIC),
         accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
         pan: PanCheck::NONE,
     };
+    /// On a bench, for a target that may take several spoonfuls of `spoon_mg`: twice as many as
+    /// full spoons hold it, and the time for each.
+    pub fn for_target(target_mg: f64, spoon_mg: Option<f64>) -> Self {
+        let full = spoon_mg.map_or(1.0, |spoon_mg| (target_mg / spoon_mg).ceil().max(1.0));
+        // Casting saturates.
+        let spoonfuls_max = Self::BENCH.spoonfuls_max.max(2 * full as u32);
+        Self { spoonfuls_max, seconds_max: full * Self::BENCH.seconds_max, ..Self::BENCH }
+    }
+
     /// As in a training episode: no watching, no forecast.
     pub const EPISODE: Self = Self {
         stand_s: 0.0,
@@ -51,6 +70,7 @@ impl Settings {
         seconds_max: f64::INFINITY,
         life_s: 0.0,
         strict: false,
+        spoonfuls_max: 1,
         forecast: None,
         ..Self::BENCH
     };

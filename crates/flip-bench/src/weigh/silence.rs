@@ -18,7 +18,7 @@
 //! No statement is made before the display has changed once: a powder that comes late cannot be
 //! told from a display that was never alive.
 
-use super::forecast::Fall;
+use super::forecast::{Fall, Shaking};
 use flip_core::stats::normal::{cdf, quantile};
 use flip_policy::{Response, Spoonful};
 use std::sync::LazyLock;
@@ -77,11 +77,14 @@ impl Silence {
         let mut shown_mg = 0.0f64;
         for fall in falls {
             for (account, spoonful) in accounts.iter_mut().zip(SPOONFULS.iter()) {
-                let poured_mg = shown_mg.max(0.0) + account.mean_mg;
-                let mean_mg = spoonful.mean_mg(&RESPONSE, fall.pitch_deg, fall.shake_mm, poured_mg);
-                let [more_mg, variance] = RESPONSE.moments(mean_mg);
-                account.mean_mg += mean_mg + more_mg;
-                account.variance += variance;
+                for _ in 0..fall.strokes {
+                    let poured_mg = shown_mg.max(0.0) + account.mean_mg;
+                    let mean_mg =
+                        spoonful.mean_mg(&RESPONSE, fall.pitch_deg, fall.shake_mm, poured_mg);
+                    let [more_mg, variance] = RESPONSE.moments(mean_mg);
+                    account.mean_mg += mean_mg + more_mg;
+                    account.variance += variance;
+                }
                 if moved(fall) {
                     // Variance of the difference of two rounded readings; Student's t with four
                     // degrees of freedom, because avalanches happen.
@@ -113,13 +116,17 @@ impl Silence {
 
     /// Probability that a shake releases more than `room_mg`, including the mass that has fallen
     /// unseen; `seen` is that probability for a display that is trusted.
-    pub fn chance_above(&self, seen: f64, pitch_deg: f64, shake_mm: f64, room_mg: f64) -> f64 {
+    pub fn chance_above(&self, seen: f64, shake: Shaking, room_mg: f64) -> f64 {
         let with = |(hidden, spoonful): (&Hidden, &Spoonful)| {
-            let poured_mg = self.shown_mg.max(0.0) + hidden.mean_mg;
-            let mean_mg = spoonful.mean_mg(&RESPONSE, pitch_deg, shake_mm, poured_mg);
-            let [more_mg, variance] = RESPONSE.moments(mean_mg);
-            let mean_mg = hidden.mean_mg + mean_mg + more_mg;
-            let sum = Hidden { mean_mg, variance: hidden.variance + variance, ..*hidden };
+            let mut sum = *hidden;
+            for _ in 0..shake.strokes {
+                let poured_mg = self.shown_mg.max(0.0) + sum.mean_mg;
+                let mean_mg =
+                    spoonful.mean_mg(&RESPONSE, shake.pitch_deg, shake.shake_mm, poured_mg);
+                let [more_mg, variance] = RESPONSE.moments(mean_mg);
+                sum.mean_mg = sum.mean_mg + mean_mg + more_mg;
+                sum.variance += variance;
+            }
             hidden.weight * sum.chance_above(room_mg)
         };
         let unseen: f64 = self.hidden.iter().zip(SPOONFULS.iter()).map(with).sum();
@@ -160,7 +167,7 @@ mod tests {
     const STANDS: f64 = 0.003;
 
     fn fall(pitch_deg: f64, shake_mm: f64, mass_mg: f64) -> Fall {
-        Fall { pitch_deg, shake_mm, mass_mg }
+        Fall { pitch_deg, shake_mm, strokes: 1, mass_mg }
     }
 
     fn after(falls: &[Fall], readability_mg: f64) -> Silence {
@@ -220,10 +227,10 @@ mod tests {
     fn what_is_hidden_leaves_less_room_and_never_more() {
         let silence = after(&course(4), 0.1);
         for (room_mg, seen) in [(2.0, 0.01), (6.0, 0.001), (30.0, 0.0), (0.0, 1.0), (-1.0, 1.0)] {
-            let chance = silence.chance_above(seen, 32.0, 4.0, room_mg);
+            let chance = silence.chance_above(seen, Shaking::once(32.0, 4.0), room_mg);
             assert!((seen..=1.0).contains(&chance), "{room_mg} mg: {chance}");
         }
-        let chance = |room_mg: f64| silence.chance_above(0.0, 32.0, 4.0, room_mg);
+        let chance = |room_mg: f64| silence.chance_above(0.0, Shaking::once(32.0, 4.0), room_mg);
         assert!(chance(2.0) > chance(10.0) && chance(10.0) > chance(40.0));
     }
 
@@ -263,7 +270,7 @@ mod tests {
             let falls: Vec<Fall> = falls.into_iter().map(|(pitch, shake, mass)| fall(pitch, shake, mass)).collect();
             if let Some(silence) = Silence::after(&falls, 0.1, STANDS) {
                 prop_assert!((0.0..=1.0).contains(&silence.still), "{}", silence.still);
-                let chance = silence.chance_above(0.01, 30.0, 4.0, room_mg);
+                let chance = silence.chance_above(0.01, Shaking::once(30.0, 4.0), room_mg);
                 prop_assert!((0.0..=1.0).contains(&chance), "{chance}");
             }
         }

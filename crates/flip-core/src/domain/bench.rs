@@ -29,22 +29,48 @@ pub const SHAKE_MM_MIN: f64 = 0.9;
 /// Largest change of the spoon's pitch in one step, degrees.
 pub const INCLINE_CHANGE_DEG_MAX: f64 = 8.0;
 
+/// Most strokes of one step.
+pub const STROKES_MAX: u32 = 8;
+
 /// What a policy proposes for one step: first incline, then shake.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Action {
     /// Change of the spoon's pitch, degrees; positive is tip down; -8 to 8.
     pub incline_change_deg: f64,
     /// Amplitude of one out-and-back shake along the spoon, mm; 0 to 16; below 0.9 there is no
     /// shake.
     pub shake_mm: f64,
+    /// How often the shake is made before the balance is read; 1 to [`STROKES_MAX`].
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub strokes: u32,
+}
+
+fn one() -> u32 {
+    1
+}
+
+fn is_one(strokes: &u32) -> bool {
+    *strokes == 1
+}
+
+impl Default for Action {
+    fn default() -> Self {
+        Self::once(0.0, 0.0)
+    }
 }
 
 impl Action {
+    /// An incline, then one shake.
+    pub const fn once(incline_change_deg: f64, shake_mm: f64) -> Self {
+        Self { incline_change_deg, shake_mm, strokes: 1 }
+    }
+
     /// Converts the two outputs of a policy in -1..=1: incline change first, then shake amplitude.
     pub fn from_unit(unit: [f64; 2]) -> Self {
         Self {
             incline_change_deg: unit[0].clamp(-1.0, 1.0) * INCLINE_CHANGE_DEG_MAX,
             shake_mm: (unit[1].clamp(-1.0, 1.0) + 1.0) / 2.0 * SHAKE_MM_MAX,
+            strokes: 1,
         }
     }
 
@@ -81,6 +107,9 @@ pub struct Tick {
     pub action: Action,
     /// The settled balance reading.
     pub reading: Reading,
+    /// Which filling of the spoon, from 1.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub spoonful: u32,
 }
 
 /// Range of the spoon's pitch.
@@ -97,6 +126,9 @@ impl PitchLimits {
     pub const PAPER: Self = Self { lower_deg: -10.0, upper_deg: 36.0 };
     /// FLIP's default: cohesive powders do not leave the spoon below 36 deg.
     pub const WIDE: Self = Self { lower_deg: -10.0, upper_deg: 50.0 };
+
+    /// As far as an arm pitches: no upper limit of its own.
+    pub const OPEN: Self = Self { lower_deg: -10.0, upper_deg: 90.0 };
 
     /// The intersection of two ranges; empty (upper below lower) if they do not overlap.
     #[must_use]

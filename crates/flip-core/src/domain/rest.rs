@@ -48,6 +48,11 @@ pub struct Rest {
 }
 
 impl Rest {
+    /// Standard deviation of a reading about the mean, mg; 0 of a single one.
+    pub fn sd_mg(&self) -> f64 {
+        (self.squares_mg2 / (self.readings.max(2) - 1) as f64).sqrt()
+    }
+
     /// Computes the statistics of these readings, which are in order of time; `None` if there are
     /// none or one is not a number.
     pub fn of(seen: &[Moment]) -> Option<Self> {

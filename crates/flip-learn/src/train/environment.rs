@@ -216,7 +216,7 @@ mod tests {
         let set = ParameterSet::default();
         let pour = |mut spoon: Dispenser| {
             for _ in 0..5 {
-                Spoon::step(&mut spoon, Action { incline_change_deg: 8.0, shake_mm: 16.0 });
+                Spoon::step(&mut spoon, Action::once(8.0, 16.0));
             }
             Spoon::vial_mg(&spoon).to_bits()
         };

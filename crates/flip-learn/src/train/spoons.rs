@@ -55,7 +55,7 @@ mod tests {
         let set = ParameterSet::default();
         let none = Patch::default();
         let mut first = spoons.take(&set, 0, &none);
-        first.step(Action { incline_change_deg: 8.0, shake_mm: 16.0 });
+        first.step(Action::once(8.0, 16.0));
         assert!(first.vial_mg() > 0.0);
         assert_eq!(spoons.take(&set, 0, &none).vial_mg(), 0.0);
         assert_eq!(spoons.kept.lock().unwrap().len(), 1);

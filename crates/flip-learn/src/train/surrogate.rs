@@ -141,7 +141,7 @@ mod tests {
     use flip_core::stats::summary::{mean, sd};
 
     const SURROGATE: Surrogate = Surrogate { pitch: PitchLimits::WIDE, spread: 1.0 };
-    const SHAKE: Action = Action { incline_change_deg: 8.0, shake_mm: 8.0 };
+    const SHAKE: Action = Action::once(8.0, 8.0);
 
     /// Masses of one dose after four shakes, each 8 deg higher, for many spoonfuls.
     fn masses(set: &ParameterSet) -> Vec<f64> {
@@ -182,7 +182,7 @@ mod tests {
     #[test]
     fn without_a_shake_nothing_falls() {
         let mut spoon = SURROGATE.fill(&ParameterSet::default(), 1);
-        (0..8).for_each(|_| spoon.step(Action { incline_change_deg: 8.0, shake_mm: 0.0 }));
+        (0..8).for_each(|_| spoon.step(Action::once(8.0, 0.0)));
         assert_eq!(spoon.vial_mg(), 0.0);
     }
 }

@@ -76,7 +76,7 @@ fn an_amplitude_of_zero_gives_the_bytes_of_the_base_for_every_mechanism() {
     let outcome = |extensions: Extensions| {
         let heap = repose(&set(), &Settings { extensions, ..settings }, 5);
         let mut dispenser = Dispenser::new(&set(), &dispense::Settings { extensions, ..spoon }, 5);
-        let poured = dispenser.step(Action { incline_change_deg: 8.0, shake_mm: 6.0 });
+        let poured = dispenser.step(Action::once(8.0, 6.0));
         format!("{heap:?} {poured:?} {}", dispenser.spoon_mg())
     };
     let base = outcome(Extensions::default());
@@ -315,7 +315,7 @@ fn an_emptied_spoon_keeps_a_film_of_the_share_that_was_asked_for() {
         let full = spoon.spoon_mg();
         let actions = [8.0, 8.0, 8.0, 8.0, 8.0, 8.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         for incline_change_deg in actions {
-            spoon.step(Action { incline_change_deg, shake_mm: 10.0 });
+            spoon.step(Action::once(incline_change_deg, 10.0));
         }
         assert_eq!(spoon.fault(), None);
         spoon.spoon_mg() / full

@@ -154,8 +154,8 @@ mod tests {
         let flow = Flow { capacity_mg: 1e9, ..Flow::default() };
         let mut spoon = FormulaSpoon::new(flow, 3);
         spoon.refill();
-        spoon.step(Action { incline_change_deg: 40.0, shake_mm: 0.0 });
-        let shake = Action { incline_change_deg: 0.0, shake_mm: 8.0 };
+        spoon.step(Action::once(40.0, 0.0));
+        let shake = Action::once(0.0, 8.0);
         let masses: Vec<f64> = (0..4000).map(|_| spoon.step(shake).mass_mg).collect();
         let mean = masses.iter().sum::<f64>() / 4000.0;
         let sd = (masses.iter().map(|mass| (mass - mean).powi(2)).sum::<f64>() / 4000.0).sqrt();
@@ -169,9 +169,7 @@ mod tests {
         let course = |seed| {
             let mut spoon = FormulaSpoon::new(Flow::default(), seed);
             spoon.refill();
-            let poured: f64 = (0..60)
-                .map(|_| spoon.step(Action { incline_change_deg: 0.8, shake_mm: 16.0 }).mass_mg)
-                .sum();
+            let poured: f64 = (0..60).map(|_| spoon.step(Action::once(0.8, 16.0)).mass_mg).sum();
             (poured, spoon.held_mg())
         };
         assert!((course(1).0 - 40.0).abs() < 1e-9 && course(1).1.abs() < 1e-9);

@@ -118,8 +118,7 @@ impl Hand<'_> {
         }
         let turn = Move::new((to_deg - from_deg).abs(), self.lab.settings.turn.into());
         let duration_s = turn.duration_s().max(SLICE_S);
-        let mass_mg =
-            self.let_fall(Action { incline_change_deg: to_deg - from_deg, shake_mm: 0.0 });
+        let mass_mg = self.let_fall(Action::once(to_deg - from_deg, 0.0));
         let ended = self.play(duration_s, mass_mg, done, |t| {
             let pitch_deg = from_deg + (to_deg - from_deg).signum() * turn.position_m(t);
             (pitch_deg, displacement_mm * (1.0 - t / duration_s).max(0.0))
@@ -127,7 +126,7 @@ impl Hand<'_> {
         if ended.is_err() {
             // The spoon model was stepped by the whole turn: bring it to where the turn ended.
             let back = self.desk.pose().0 - to_deg;
-            let mass_mg = self.let_fall(Action { incline_change_deg: back, shake_mm: 0.0 });
+            let mass_mg = self.let_fall(Action::once(back, 0.0));
             self.lab.spoon().keep(mass_mg);
             return ended;
         }
@@ -147,7 +146,7 @@ impl Hand<'_> {
         }
         let stroke = Stroke::new(executed_mm * 1e-3, settings.shake);
         let (pitch_deg, _) = self.desk.pose();
-        let mass_mg = self.let_fall(Action { incline_change_deg: 0.0, shake_mm: executed_mm });
+        let mass_mg = self.let_fall(Action::once(0.0, executed_mm));
         let mut furthest_mm = 0.0f64;
         let ended = self.play(stroke.duration_s() / settings.speed, mass_mg, done, |t| {
             let displacement_mm = stroke.at(t * settings.speed).position * 1e3;

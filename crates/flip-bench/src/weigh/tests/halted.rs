@@ -64,7 +64,7 @@ proptest! {
             match event {
                 Event::Decision(Decision { allowed: Some(action), .. }) => {
                     let (pitch_deg, shake_mm) = (last.1 + action.incline_change_deg, action.executed_shake_mm());
-                    let upper_mg = Forecast::GENERIC.upper_mg(&falls, 1.0, pitch_deg, shake_mm);
+                    let upper_mg = Forecast::GENERIC.upper_mg(&falls, 1.0, Shaking::once(pitch_deg, shake_mm));
                     let room_mg = target_mg + tolerance_mg - last.0;
                     if halted || upper_mg > room_mg + 1e-6 {
                         broken = Some(format!("{action:?} may give {upper_mg} mg, room {room_mg} mg"));
@@ -74,7 +74,7 @@ proptest! {
                 Event::Tick(tick) => {
                     if tick.action.executed_shake_mm() > 0.0 {
                         let mass_mg = tick.reading.mass_mg - last.0;
-                        falls.push(Fall { pitch_deg: tick.pitch_deg, shake_mm: tick.action.shake_mm, mass_mg });
+                        falls.push(Fall { pitch_deg: tick.pitch_deg, shake_mm: tick.action.shake_mm, strokes: 1, mass_mg });
                     }
                     acts += u32::from(tick.step > 0);
                     if halted {

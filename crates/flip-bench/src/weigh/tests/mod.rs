@@ -2,12 +2,13 @@
 //! every call.
 
 mod halted;
+mod hard;
 mod scripted;
 mod truth;
 
-use super::forecast::Forecast;
+use super::forecast::{Fall, Forecast, Shaking};
 use super::*;
-use flip_core::domain::bench::PitchLimits;
+use flip_core::domain::bench::{Action, PitchLimits};
 use flip_policy::{Schedule, ScheduledStep};
 use proptest::prelude::*;
 use scripted::{Call, Display, EXCHANGED_MG, Fault, Scripted};
@@ -145,24 +146,6 @@ fn masses_decide_how_a_dose_ends() {
 }
 
 #[test]
-fn a_blocked_spoon_is_said_so() {
-    let mut bench = Scripted::giving(&[0.0]);
-    let rules = Rules { steps_max: 30, ..Rules::FLIP };
-    let go = AtomicBool::new(false);
-    let weighed = weigh(
-        &mut bench,
-        &shaker(50.0, 16.0),
-        &rules,
-        &ORDER,
-        &BLIND,
-        |_| ControlFlow::Continue(()),
-        &go,
-    );
-    assert_eq!((weighed.outcome, weighed.shakes), (Outcome::Blocked, 3));
-    assert!(bench.is_safe() && weighed.cause.unwrap().contains("blocked"));
-}
-
-#[test]
 fn a_display_that_dies_hides_one_shake_and_a_person_is_called() {
     for dies_at in 0..5 {
         let mut bench =
@@ -250,11 +233,16 @@ fn what_a_shake_gave_is_not_forgotten_where_an_incline_came_before_the_sign_of_l
         ControlFlow::Continue(())
     };
     weigh(&mut bench, &controller, &Rules::FLIP, &order, &settings, watch, &AtomicBool::new(false));
-    let (second, first) = (second.unwrap(), Fall { pitch_deg: 8.0, shake_mm: 16.0, mass_mg: 6.0 });
+    let (second, first) =
+        (second.unwrap(), Fall { pitch_deg: 8.0, shake_mm: 16.0, strokes: 1, mass_mg: 6.0 });
     assert!(bench.count(Call::Life) > 0 && pitch_deg == 16.0, "{:?}", bench.calls);
     let upper_mg = |falls: &[Fall]| {
         let pitch_deg = pitch_deg + second.incline_change_deg;
-        settings.forecast.unwrap().upper_mg(falls, 1.0, pitch_deg, second.executed_shake_mm())
+        settings.forecast.unwrap().upper_mg(
+            falls,
+            1.0,
+            Shaking::once(pitch_deg, second.executed_shake_mm()),
+        )
     };
     assert!(upper_mg(&[first]) <= 15.0, "{second:?} may give {} mg", upper_mg(&[first]));
 }

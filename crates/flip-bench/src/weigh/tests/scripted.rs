@@ -87,6 +87,12 @@ pub(super) struct Scripted {
     pub(super) gives_mg: Vec<f64>,
     /// Falls while the spoon is levelled.
     pub(super) late_mg: f64,
+    /// The arm fills its spoon.
+    pub(super) refills: bool,
+    /// What is left in the spoon, mg, and in a full one; `None`: it never runs out.
+    pub(super) spoon_mg: Option<[f64; 2]>,
+    /// Every action carried out, and the pitch after it.
+    pub(super) actions: Vec<(f64, Action)>,
     pub(super) reach: Reach,
     pub(super) pitch_deg: f64,
     pub(super) mass_mg: f64,
@@ -104,6 +110,9 @@ impl Scripted {
             fault: None,
             gives_mg: gives_mg.to_vec(),
             late_mg: 0.0,
+            refills: false,
+            spoon_mg: None,
+            actions: Vec::new(),
             reach: Reach::FULL,
             pitch_deg: 0.0,
             mass_mg: 0.0,
@@ -164,6 +173,9 @@ impl Scripted {
 impl Bench for Scripted {
     fn approach(&mut self) -> Result<(), DeviceError> {
         self.over_the_vial = true;
+        if let Some([left_mg, full_mg]) = &mut self.spoon_mg {
+            *left_mg = *full_mg;
+        }
         self.called(Call::Approach).map(|_| ())
     }
     fn tare(&mut self) -> Result<Tare, DeviceError> {
@@ -220,8 +232,15 @@ impl Bench for Scripted {
         self.pitch_deg += action.incline_change_deg;
         let shakes = self.count(Call::Act) as usize;
         self.called(Call::Act)?;
+        self.actions.push((self.pitch_deg, action));
         if action.executed_shake_mm() > 0.0 {
-            self.mass_mg += self.gives_mg[shakes.min(self.gives_mg.len() - 1)];
+            let gives_mg = self.gives_mg[shakes.min(self.gives_mg.len() - 1)];
+            let left_mg = self.spoon_mg.map_or(f64::INFINITY, |[left_mg, _]| left_mg);
+            let fell_mg = gives_mg.min(left_mg);
+            self.mass_mg += fell_mg;
+            if let Some([left_mg, _]) = &mut self.spoon_mg {
+                *left_mg -= fell_mg;
+            }
         }
         if self.display.is_some_and(|display| display.is_early) {
             self.shown(None);
@@ -241,6 +260,9 @@ impl Bench for Scripted {
     }
     fn discard(&mut self) -> Result<(), DeviceError> {
         self.called(Call::Discard).map(|_| ())
+    }
+    fn can_refill(&self) -> bool {
+        self.refills
     }
     fn reach(&self) -> Reach {
         self.reach

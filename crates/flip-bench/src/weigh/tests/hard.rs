@@ -1,0 +1,121 @@
+//! Powders that do not flow, and targets that one spoonful does not hold.
+
+use super::*;
+use flip_core::domain::bench::Reach;
+
+const RULES: Rules = Rules { steps_max: 30, ..Rules::FLIP };
+
+fn weigh_hard(bench: &mut Scripted, order: &Order, settings: &Settings) -> (Weighed, Vec<String>) {
+    let mut said = Vec::new();
+    let note = |event: &Event<'_>| {
+        if let Event::Decision(Decision { reason: Some(reason), .. }) = event {
+            said.push(reason.clone());
+        }
+        ControlFlow::Continue(())
+    };
+    let go = AtomicBool::new(false);
+    let weighed = weigh(bench, &shaker(50.0, 16.0), &RULES, order, settings, note, &go);
+    (weighed, said)
+}
+
+/// Strokes at the end of the pitch, step by step.
+fn strokes(bench: &Scripted) -> Vec<u32> {
+    let shaken = bench.actions.iter().filter(|(_, action)| action.shake_mm > 0.0);
+    shaken.map(|(_, action)| action.strokes).collect()
+}
+
+#[test]
+fn every_rung_is_tried_before_a_spoon_is_blocked_and_what_is_left_is_said() {
+    let mut bench = Scripted::giving(&[0.0]);
+    let settings = Settings { spoon_mg: Some(37.0), ..BLIND };
+    let (weighed, said) = weigh_hard(&mut bench, &ORDER, &settings);
+    // Ever more strokes; eight on the level spoon; and the same again.
+    assert_eq!(strokes(&bench), [1, 2, 4, 8, 8, 1, 2, 4, 8]);
+    assert_eq!(said.iter().filter(|it| it.contains("loosen")).count(), 1);
+    assert_eq!(weighed.outcome, Outcome::Blocked);
+    let cause = weighed.cause.unwrap();
+    assert!(cause.contains("blocked") && cause.contains("about 37 mg"), "{cause}");
+    assert!(bench.is_safe() && !weighed.must_look && bench.count(Call::Approach) == 1);
+}
+
+#[test]
+fn an_arm_that_fills_its_spoon_tries_a_new_spoonful_and_no_more_than_allowed() {
+    let mut bench = Scripted { refills: true, ..Scripted::giving(&[0.0]) };
+    let (weighed, said) = weigh_hard(&mut bench, &ORDER, &BLIND);
+    assert_eq!((weighed.outcome, bench.count(Call::Approach)), (Outcome::Blocked, 3));
+    assert_eq!(said.iter().filter(|it| it.contains("filled anew")).count(), 2);
+    assert_eq!(weighed.ticks.last().map(|tick| tick.spoonful), Some(3));
+    // The vial is tared once, whatever the number of spoonfuls.
+    assert!(bench.is_safe() && bench.count(Call::Tare) == 1);
+}
+
+#[test]
+fn a_powder_that_flows_after_a_rung_is_weighed() {
+    // Nothing for the first four shakes at the end, then a piece.
+    let gives_mg = [vec![0.0; 10], vec![4.0, 0.0, 3.0, 3.0]].concat();
+    let mut bench = Scripted::giving(&gives_mg);
+    let (weighed, _) = weigh_hard(&mut bench, &ORDER, &BLIND);
+    assert_eq!((weighed.outcome, weighed.reading_mg), (Outcome::Within, Some(10.0)));
+}
+
+#[test]
+fn a_target_above_what_a_spoon_holds_takes_several() {
+    let order = Order { target_mg: 100.0, ..ORDER };
+    let spoon_mg = Some(30.0);
+    let settings = Settings { forecast: None, ..Settings::for_target(100.0, spoon_mg) };
+    let settings = Settings { spoon_mg, ..settings };
+    let mut bench =
+        Scripted { refills: true, spoon_mg: Some([30.0; 2]), ..Scripted::giving(&[10.0]) };
+    let (weighed, _) = weigh_hard(&mut bench, &order, &settings);
+    assert_eq!((weighed.outcome, weighed.reading_mg), (Outcome::Within, Some(100.0)));
+    assert_eq!((bench.count(Call::Approach), bench.count(Call::Tare)), (4, 1));
+    let spoonfuls: Vec<u32> = weighed.ticks.iter().map(|tick| tick.spoonful).collect();
+    assert!(spoonfuls.is_sorted() && spoonfuls.last() == Some(&4));
+    // An empty spoon is neither shaken further nor loosened.
+    assert!(strokes(&bench).iter().all(|strokes| *strokes == 1), "{:?}", strokes(&bench));
+}
+
+#[test]
+fn where_the_arm_does_not_fill_its_spoon_one_spoonful_is_all() {
+    let mut bench = Scripted { spoon_mg: Some([30.0; 2]), ..Scripted::giving(&[10.0]) };
+    let settings = Settings { spoon_mg: Some(30.0), ..BLIND };
+    let (weighed, _) = weigh_hard(&mut bench, &Order { target_mg: 100.0, ..ORDER }, &settings);
+    assert_eq!((weighed.outcome, weighed.reading_mg), (Outcome::Blocked, Some(30.0)));
+    assert!(!weighed.cause.unwrap().contains("still in"));
+}
+
+#[test]
+fn the_pitch_goes_as_far_as_arm_and_policy_both_allow() {
+    for (arm_deg, policy_deg, end_deg) in
+        [(60.0, 90.0, 60.0), (60.0, 50.0, 50.0), (40.0, 90.0, 40.0)]
+    {
+        let reach =
+            Reach { pitch: PitchLimits { lower_deg: -10.0, upper_deg: arm_deg }, ..Reach::FULL };
+        let mut bench = Scripted { reach, ..Scripted::giving(&[0.0]) };
+        let pitch = PitchLimits { lower_deg: -10.0, upper_deg: policy_deg };
+        let rules = Rules { pitch, ..RULES };
+        let go = AtomicBool::new(false);
+        let note = |_: &Event<'_>| ControlFlow::Continue(());
+        weigh(&mut bench, &shaker(90.0, 16.0), &rules, &ORDER, &BLIND, note, &go);
+        let highest = bench.actions.iter().map(|(pitch_deg, _)| *pitch_deg).fold(0.0, f64::max);
+        assert!((highest - end_deg).abs() < 1e-9, "{highest}");
+    }
+}
+
+#[test]
+fn a_stop_while_the_spoon_is_loosened_or_filled_leaves_it_level_and_away() {
+    for word in ["loosen", "filled anew"] {
+        let mut bench = Scripted { refills: true, ..Scripted::giving(&[0.0]) };
+        let stop = AtomicBool::new(false);
+        let press = |event: &Event<'_>| {
+            let is_it = matches!(event, Event::Decision(Decision { reason: Some(reason), .. }) if reason.contains(word));
+            if is_it {
+                stop.store(true, Ordering::SeqCst);
+            }
+            ControlFlow::Continue(())
+        };
+        let weighed = weigh(&mut bench, &shaker(50.0, 16.0), &RULES, &ORDER, &BLIND, press, &stop);
+        assert_eq!(weighed.outcome, Outcome::Stopped, "{word}");
+        assert!(bench.is_safe() && bench.count(Call::Approach) == 1, "{word}");
+    }
+}
