@@ -163,15 +163,13 @@ impl App {
             );
             return Err(Error::conflict("calibration_missing", advice));
         };
-        if target_mg > capacity_mg {
+        let fills = bench.fills_spoon();
+        if let Some(message) = too_much(target_mg, capacity_mg, &powder, fills) {
             let own = match bench.kind() == BenchKind::Devices && bench.spoon_is_usual() {
                 true => ", or write what yours holds under [spoon] in the bench file",
                 false => "",
             };
-            let advice = format!(
-                "must be at most {capacity_mg:.1} mg, which is what the spoon holds of `{powder}`, got {target_mg} mg: \
-                 weigh it in portions{own}"
-            );
+            let advice = format!("{message}: weigh it in portions{own}");
             return Err(FieldError::new("target.value", advice).into());
         }
         let policy = self.policy_for(&powder, request.policy.as_deref()).await?;
@@ -432,4 +430,43 @@ fn choose_set(sets: Vec<CalibratedSet>, policy: &Policy, seed: u64) -> String {
     sets.sort_by(|a, b| a.id.cmp(&b.id));
     let index = derive(seed, &[SET_CHOICE]) % sets.len() as u64;
     sets.swap_remove(index as usize).id
+}
+/// Most spoonfuls that a target may take.
+const SPOONFULS_MAX: f64 = 40.0;
+/// Largest target in several spoonfuls, mg.
+const TARGET_MG_MAX: f64 = 1000.0;
+
+/// Why a target is too large for a bench whose spoon holds so much, if it is. `fills`: the bench
+/// fills the spoon by itself, during a dose too.
+fn too_much(target_mg: f64, capacity_mg: f64, powder: &str, fills: bool) -> Option<String> {
+    let most_mg = match fills {
+        true => (SPOONFULS_MAX * capacity_mg).min(TARGET_MG_MAX).max(capacity_mg),
+        false => capacity_mg,
+    };
+    let holds = match fills {
+        true => format!("the spoon holds {capacity_mg:.1} mg of `{powder}`"),
+        false => format!("which is what the spoon holds of `{powder}`"),
+    };
+    (target_mg > most_mg)
+        .then(|| format!("must be at most {most_mg:.1} mg, {holds}, got {target_mg} mg"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::too_much;
+
+    #[test]
+    fn a_bench_that_fills_its_spoon_weighs_up_to_a_gram_and_any_other_what_the_spoon_holds() {
+        let said = |target_mg, capacity_mg, fills| too_much(target_mg, capacity_mg, "salt", fills);
+        assert_eq!((said(37.0, 37.0, false), said(500.0, 37.0, true)), (None, None));
+        let one = said(38.0, 37.0, false).unwrap();
+        assert_eq!(
+            one,
+            "must be at most 37.0 mg, which is what the spoon holds of `salt`, got 38 mg"
+        );
+        let gram = said(1001.0, 37.0, true).unwrap();
+        assert!(gram.contains("at most 1000.0 mg, the spoon holds 37.0 mg"), "{gram}");
+        assert!(said(500.0, 5.0, true).unwrap().contains("at most 200.0 mg"));
+        assert_eq!(said(1500.0, 2000.0, true), None);
+    }
 }

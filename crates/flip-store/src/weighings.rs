@@ -239,7 +239,7 @@ impl Store {
         bench: BenchKind,
         count: u32,
     ) -> Result<Vec<String>> {
-        let sql = "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over') \
+        let sql = "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over', 'blocked') \
                    AND trace IS NOT NULL ORDER BY seq DESC LIMIT ?3";
         let query = sqlx::query_scalar(sql).bind(powder).bind(word(&bench)).bind(count);
         Ok(query.fetch_all(&self.reader).await?)

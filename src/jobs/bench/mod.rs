@@ -108,6 +108,11 @@ impl Bench {
         self.rig.spoon().is_usual()
     }
 
+    /// Whether the bench fills its spoon by itself, so that a dose may take several spoonfuls.
+    pub fn fills_spoon(&self) -> bool {
+        self.rig.fills_spoon()
+    }
+
     /// Starts the lane.
     pub(super) async fn start(&self) -> store::Result<()> {
         self.forget_vials().await?;

@@ -5,7 +5,7 @@ use super::lane::LaneThread;
 use crate::jobs::spoon::holds_mg;
 use flip_bench::rig::{Pouring, Simulation, Task};
 use flip_bench::weigh::forecast::{Fall, Forecast, onset_deg};
-use flip_bench::weigh::{Accuracy, Order};
+use flip_bench::weigh::{Accuracy, Order, hangs};
 use flip_core::domain::bench::Tick;
 use flip_core::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
 use flip_core::domain::vial::{Pan, PanCheck};
@@ -78,6 +78,7 @@ impl LaneThread {
                 },
                 shakes: shakes.map(|(_, line)| line),
                 forecast: Forecast::GENERIC.informed(&earlier, readability_mg),
+                hangs: hangs(Some(set.repose_deg)),
                 onset_deg: onset_deg(&earlier, readability_mg),
                 spoon_mg: holds_mg(&self.rig.spoon(), std::iter::once(&set.parameters)),
                 pan: self.pan_check(weighing, pan, readability_mg),

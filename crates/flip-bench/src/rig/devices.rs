@@ -12,7 +12,7 @@ use crate::hardware::station::Station;
 use crate::hardware::wire::{Exchange, Tap};
 use crate::weigh::{Settings, weigh};
 use flip_core::domain::bench::BenchKind;
-use flip_core::domain::spoon::Spoon;
+use flip_core::domain::spoon::{FilledBy, Spoon};
 use flip_core::domain::vial::EmptyVial;
 use flip_core::domain::weighing::Outcome;
 use std::collections::BTreeMap;
@@ -97,6 +97,10 @@ impl Rig for Devices {
         self.file.spoon
     }
 
+    fn fills_spoon(&self) -> bool {
+        self.file.spoon.filled_by == FilledBy::Arm
+    }
+
     fn empty_vial(&self) -> Option<EmptyVial> {
         self.file.vial
     }
@@ -148,6 +152,7 @@ pub(super) fn dose(
         life_s,
         rest_max_s,
         pan,
+        hangs: pouring.hangs,
         onset_deg,
         spoon_mg,
         ..Settings::for_target(task.order.target_mg, spoon_mg)

@@ -81,6 +81,10 @@ impl Rig for Emulated {
         Some(self.settings.balance.readability_mg)
     }
 
+    fn fills_spoon(&self) -> bool {
+        self.settings.arm.scoops
+    }
+
     fn remembers(&self) -> bool {
         self.settings.remembers
     }

@@ -90,6 +90,12 @@ pub trait Rig: Send + Sync {
         Spoon::default()
     }
 
+    /// Whether it fills the spoon by itself, during a dose too; for devices, as far as the bench file
+    /// says.
+    fn fills_spoon(&self) -> bool {
+        false
+    }
+
     /// Mass of an empty vial, where known.
     fn empty_vial(&self) -> Option<EmptyVial> {
         None

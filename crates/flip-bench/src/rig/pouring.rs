@@ -60,6 +60,8 @@ pub struct Pouring {
     pub shakes: Option<ShakeCalibration>,
     /// Predicted behaviour of the powder.
     pub forecast: Forecast,
+    /// Probability that a spoonful stops flowing while powder is left in it.
+    pub hangs: f64,
     /// Pitch at which the powder began to flow in earlier doses, degrees, if known.
     pub onset_deg: Option<f64>,
     /// What the spoon holds of the powder, mg, if known.

@@ -80,6 +80,7 @@ fn pouring() -> Pouring {
         },
         shakes: None,
         forecast: Forecast::GENERIC,
+        hangs: 0.0,
         onset_deg: None,
         spoon_mg: None,
         pan: PanCheck::NONE,

@@ -76,6 +76,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             readability_mg,
             piece_mg: readability_mg.max(NOISE_SDS * std::f64::consts::SQRT_2 * noise_mg),
             forecast: self.settings.forecast,
+            hangs: self.settings.hangs,
             shake_mm_max: reach.shake_mm_max,
             ..usual
         }
@@ -120,7 +121,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         loop {
             self.go_on()?;
             let is_sure = self.look_if_it_ends(rules, course)?;
-            let proposed = self.proposal(&mut dosing, limits, course);
+            let (proposed, is_lifted) = self.proposal(&mut dosing, limits, course);
+            let steps = course.steps;
             let mut allowed = self.guard(limits, course, proposed);
             if !is_sure && matches!(allowed, Err(Halt::NoRoom { .. } | Halt::TargetReached)) {
                 course.now = self.look_closer()?;
@@ -144,6 +146,10 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             if let Some(halt) = self.carry_out(course, proposed, allowed)? {
                 return Ok(Some(halt));
             }
+            if is_lifted {
+                // What the ladder adds is not the policy's step.
+                course.steps = steps;
+            }
         }
     }
 
@@ -165,9 +171,14 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         Ok(true)
     }
 
-    /// What the policy proposes, lifted where the powder hardly flows. Each spoonful is a dose of
-    /// what is missing.
-    fn proposal(&self, dosing: &mut Dosing<'_>, limits: &Limits, course: &Course) -> Action {
+    /// What the policy proposes, lifted where the powder hardly flows, and whether it was. Each
+    /// spoonful is a dose of what is missing.
+    fn proposal(
+        &self,
+        dosing: &mut Dosing<'_>,
+        limits: &Limits,
+        course: &Course,
+    ) -> (Action, bool) {
         let seen = self.seen(course.now);
         let proposed = dosing.propose(&Observation {
             reading_mg: seen.reading_mg - course.from_mg,
@@ -175,11 +186,12 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             ..seen
         });
         if !self.settings.strict {
-            return proposed;
+            return (proposed, false);
         }
         let left = limits.steps_max.saturating_sub(course.steps).max(1);
         let needed = (seen.missing_mg(), left);
-        ladder::lift(limits, &course.falls, seen.pitch_deg, proposed, needed)
+        let lifted = ladder::lift(limits, &course.falls, seen.pitch_deg, proposed, needed);
+        (lifted, lifted != proposed)
     }
 
     fn situation<'c>(&self, course: &'c Course, read_s: f64) -> Situation<'c> {

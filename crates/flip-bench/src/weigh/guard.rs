@@ -40,6 +40,13 @@ pub struct Limits {
     /// This many full strokes in a row at the end of the pitch that release nothing mean a blocked
     /// spoon. Default 15: one, two, four and eight (`ladder.rs`).
     pub blocked_strokes: u32,
+    /// If shakes that together should release this many times the last yield release nothing, the
+    /// spoon is blocked or the balance is stuck, unless the powder is one that hangs. Default 8: the
+    /// gentlest shakes at the end of a dose may take five for one step of the display.
+    pub deaf_shakes: f64,
+    /// Probability that a spoonful of the powder stops flowing while powder is left in it. Default
+    /// 0: shakes that should release something do.
+    pub hangs: f64,
     /// Prior probability that a display is stuck. Default 0.003: far above that of real balances,
     /// because poured powder cannot be taken back (cost and benefit in `docs/reliability.md`). 0:
     /// the display is trusted.
@@ -72,6 +79,8 @@ impl Limits {
             fall_mg_max: Self::FALL_MG_MAX,
             rise_mg_max: 3.0,
             blocked_strokes: 2 * STROKES_MAX - 1,
+            deaf_shakes: 8.0,
+            hangs: 0.0,
             stands_still: 0.003,
             readability_mg: 1.0,
             piece_mg: 1.0,
@@ -294,7 +303,8 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
         return Err(Halt::TargetReached);
     }
     let silence = match (limits.forecast, seen.unproven) {
-        (Some(_), None) => Silence::after(seen.falls, limits.readability_mg, limits.stands_still),
+        (Some(_), None) => Silence::after(seen.falls, limits.readability_mg, limits.stands_still)
+            .map(|silence| silence.unless(limits.hangs)),
         _ => None,
     };
     if seen.steps >= limits.steps_max {
@@ -382,23 +392,12 @@ pub(super) fn silent_at_the_end(limits: &Limits, falls: &[Fall]) -> Option<u32> 
     (strokes > 0).then_some(strokes)
 }
 
-/// Number of the latest shakes that released nothing, if a display that is alive would hardly have
-/// been silent for so long.
-///
-/// Pieces of powder come at random, in proportion to what a stroke is worth by pitch and amplitude:
-/// k pieces in strokes worth W, relative to the last one that released something, then none in
-/// strokes worth w. With Jeffreys' prior for their rate,
-///
-/// ```text
-/// P(none | alive) = (W / (W + w))^(k + 1/2)                    the display is stuck with odds p : P(none | alive)
-/// ```
-///
-/// Only strokes at no lower pitch and no smaller amplitude than the last one that released
-/// something count in w.
+/// How many shakes released nothing since the last fall, if those at no lower pitch and no smaller
+/// amplitude were together worth many times that one.
 fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
     let gave = |fall: &Fall| fall.mass_mg >= limits.piece_mg - 1e-9;
-    let at = falls.iter().rposition(gave)?;
-    let (until, since, last) = (&falls[..=at], &falls[at + 1..], falls[at]);
+    let last = falls.iter().rposition(gave)?;
+    let (since, last) = (&falls[last + 1..], falls[last]);
     let should_give = |fall: &&Fall| {
         fall.pitch_deg > last.pitch_deg - AT_THE_END_DEG && fall.shake_mm >= FULL * last.shake_mm
     };
@@ -406,11 +405,8 @@ fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
         let stroke = limits.forecast.map_or(1.0, |forecast| forecast.worth(fall, &last));
         f64::from(fall.strokes) * stroke
     };
-    let pieces = until.iter().filter(|fall| gave(fall)).count() as f64;
-    let before: f64 = until.iter().map(worth).sum();
-    let silent: f64 = since.iter().filter(should_give).map(worth).sum();
-    let alive = libm::pow(before / (before + silent), pieces + 0.5);
-    (alive < limits.stands_still).then_some(since.len())
+    let all: f64 = since.iter().filter(should_give).map(worth).sum();
+    (all >= limits.deaf_shakes && limits.hangs <= limits.stands_still).then_some(since.len())
 }
 
 fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {

@@ -33,7 +33,7 @@ mod uncertainty;
 
 pub use event::{Decision, Event, Phase};
 pub use result::{Accuracy, Weighed, minimum_weight_mg, repeatability_mg};
-pub use settings::Settings;
+pub use settings::{Settings, hangs};
 
 use crate::hardware::{Bench, DeviceError};
 use flip_core::domain::bench::{Reach, Reading, Standing, Tare, Tick};

@@ -4,6 +4,20 @@ use super::forecast::Forecast;
 use super::result::Accuracy;
 use flip_core::domain::vial::PanCheck;
 
+/// Probability that a spoonful of a powder stops flowing while powder is left in it, by its angle
+/// of repose.
+///
+/// The flow classes are those of USP <1174>: up to 40 deg no aid is needed, up to 45 deg it may hang
+/// up, above it must be agitated. The probabilities are ours: far above that of a display that is
+/// stuck, which silent shakes are taken for otherwise. `None`: not measured.
+pub fn hangs(repose_deg: Option<f64>) -> f64 {
+    match repose_deg {
+        Some(deg) if deg > 45.0 => 0.3,
+        Some(deg) if deg > 40.0 => 0.1,
+        _ => 0.0,
+    }
+}
+
 /// Settings of the weighing loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
@@ -23,6 +37,9 @@ pub struct Settings {
     /// A spoon that releases nothing, and mass that appears without a shake, end the weighing; and
     /// what a stuck powder needs is tried before (`ladder.rs`).
     pub strict: bool,
+    /// Probability that a spoonful of the powder stops flowing while powder is left in it
+    /// ([`hangs`]).
+    pub hangs: f64,
     /// Pitch at which the powder began to flow in earlier doses, degrees, if known.
     pub onset_deg: Option<f64>,
     /// What a full spoon holds, mg, if known.
@@ -47,6 +64,7 @@ impl Settings {
         seconds_max: 600.0,
         life_s: 60.0,
         strict: true,
+        hangs: 0.0,
         onset_deg: None,
         spoon_mg: None,
         spoonfuls_max: 3,

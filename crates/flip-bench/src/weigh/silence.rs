@@ -43,6 +43,10 @@ pub struct Silence {
     pub shakes: usize,
     /// Probability that the display is stuck.
     pub still: f64,
+    /// Probability of the silence on a display that is alive.
+    live: f64,
+    /// Prior probability of a stuck one.
+    stands_still: f64,
     shown_mg: f64,
     hidden: Vec<Hidden>,
 }
@@ -106,7 +110,16 @@ impl Silence {
         };
         let hidden: Vec<Hidden> = accounts.iter().map(of).collect();
         let live: f64 = hidden.iter().map(|it| it.weight * it.unseen(readability_mg)).sum();
-        Some(Self { shakes, still: stands_still / (stands_still + live), shown_mg, hidden })
+        let still = stands_still / (stands_still + live);
+        Some(Self { shakes, still, live, stands_still, shown_mg, hidden })
+    }
+
+    /// The same silence of a powder that stops flowing with this probability while powder is left: a
+    /// display that is alive is then silent with at least that probability.
+    #[must_use]
+    pub fn unless(self, hangs: f64) -> Self {
+        let live = self.live.max(hangs);
+        Self { live, still: self.stands_still / (self.stands_still + live), ..self }
     }
 
     /// Whether the display is more likely stuck than not.
