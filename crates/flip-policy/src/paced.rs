@@ -33,8 +33,9 @@ const ON_DEG_MAX: f64 = 6.0;
 const AT_THE_END_DEG: f64 = 0.5;
 
 /// How far below the pitch at which a powder flowed before the first shake is made, degrees: from
-/// dose to dose, that pitch differs by up to 3.5.
-const BEFORE_ONSET_DEG: f64 = 6.0;
+/// dose to dose, that pitch differs by up to 3.5, and the guard learns from shakes that release
+/// nothing.
+const BEFORE_ONSET_DEG: f64 = 10.0;
 
 /// A smaller fall is dust, not a piece, mg.
 const PIECE_MG: f64 = 0.5;
@@ -201,8 +202,8 @@ mod tests {
             lead_in(onset_deg, &Observation { reading_mg, target_mg: 15.0, pitch_deg })
         };
         assert_eq!(way(Some(46.0), 0.0, 0.0), Some(Action::once(8.0, 0.0)));
-        assert_eq!(way(Some(46.0), 0.0, 37.0), Some(Action::once(3.0, 0.0)));
-        assert_eq!(way(Some(46.0), 0.0, 40.0), None, "there");
+        assert_eq!(way(Some(46.0), 0.0, 33.0), Some(Action::once(3.0, 0.0)));
+        assert_eq!(way(Some(46.0), 0.0, 36.0), None, "there");
         assert_eq!(way(Some(46.0), 1.0, 20.0), None, "it has begun to fall");
         assert_eq!(way(None, 0.0, 0.0), None);
     }

@@ -182,7 +182,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let seen = self.seen(course.now);
         let proposed = dosing.propose(&Observation {
             reading_mg: seen.reading_mg - course.from_mg,
-            target_mg: seen.target_mg - course.from_mg,
+            target_mg: self.portion_mg(course),
             ..seen
         });
         if !self.settings.strict {

@@ -24,6 +24,10 @@ use std::ops::ControlFlow;
 const SILENT: usize = 2;
 /// A spoon that has released this fraction of what it holds is empty once it is silent.
 const EMPTY: f64 = 0.85;
+/// The fraction of what the spoon holds that a spoonful of a larger target is to release.
+const PORTION: f64 = 0.8;
+/// Full strokes at the end of the pitch that release nothing after which such a spoonful is spent.
+const SPENT_STROKES: u32 = 3;
 /// Most of what is missing that one step may be expected to release.
 const AT_ONCE: f64 = 0.5;
 
@@ -76,12 +80,31 @@ const LOOSEN: &str = "nothing falls: the spoon is levelled and shaken to loosen 
 const REFILL: &str = "the spoon gives no more: it is filled anew";
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
-    /// Whether the spoon, by what it holds and what has fallen from it, is empty: it has released
-    /// nearly all, and full shakes at the end of the pitch release nothing.
+    /// What this spoonful is to release, mg: what is missing, or a portion of a larger target that a
+    /// spoon surely holds.
+    pub(super) fn portion_mg(&self, course: &Course) -> f64 {
+        let missing_mg = self.order.target_mg - course.from_mg;
+        match self.settings.spoon_mg {
+            Some(spoon_mg) if missing_mg > spoon_mg => PORTION * spoon_mg,
+            _ => missing_mg,
+        }
+    }
+
+    /// Whether the next spoonful may follow: this one has released its portion of a larger target,
+    /// or nearly all that the spoon holds and full shakes at the end of the pitch release nothing.
+    /// A few such shakes suffice where more spoonfuls have to follow anyway.
     pub(super) fn is_empty(&self, limits: &Limits, course: &Course) -> bool {
+        let Some(spoon_mg) = self.settings.spoon_mg else { return false };
         let fallen_mg = course.now.mass_mg - course.from_mg;
-        self.settings.spoon_mg.is_some_and(|spoon_mg| fallen_mg >= EMPTY * spoon_mg)
-            && silent_at_the_end(limits, &course.falls).is_some()
+        let silent = silent_at_the_end(limits, &course.falls).unwrap_or(0);
+        match self.is_last(course) {
+            true => fallen_mg >= EMPTY * spoon_mg && silent > 0,
+            false => fallen_mg >= self.portion_mg(course) - 1.0 || silent >= SPENT_STROKES,
+        }
+    }
+
+    fn is_last(&self, course: &Course) -> bool {
+        self.portion_mg(course) >= self.order.target_mg - course.from_mg
     }
 
     /// Whether a spoon that releases nothing may still hold powder that shakes would loosen.
@@ -93,6 +116,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     ) -> bool {
         matches!(allowed, Err(Halt::Blocked { .. }))
             && !course.loosened
+            && self.is_last(course)
             && !self.is_empty(limits, course)
     }
 
@@ -101,7 +125,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         let is_spent = match halt {
             Halt::Blocked { .. } => true,
             // The steps were made for one spoonful.
-            Halt::StepsSpent => self.settings.spoon_mg.is_some_and(|mg| self.order.target_mg > mg),
+            Halt::StepsSpent => !self.is_last(course),
             _ => false,
         };
         let missing_mg = self.order.target_mg - course.now.mass_mg;

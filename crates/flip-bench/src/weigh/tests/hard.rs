@@ -71,8 +71,23 @@ fn a_target_above_what_a_spoon_holds_takes_several() {
     assert_eq!((bench.count(Call::Approach), bench.count(Call::Tare)), (4, 1));
     let spoonfuls: Vec<u32> = weighed.ticks.iter().map(|tick| tick.spoonful).collect();
     assert!(spoonfuls.is_sorted() && spoonfuls.last() == Some(&4));
-    // An empty spoon is neither shaken further nor loosened.
+    // A spoonful that has released its portion is neither shaken further nor loosened.
     assert!(strokes(&bench).iter().all(|strokes| *strokes == 1), "{:?}", strokes(&bench));
+}
+
+#[test]
+fn a_portion_that_was_spilled_is_made_up_for_by_more_spoonfuls() {
+    // Half of what leaves the spoon misses the vial.
+    let order = Order { target_mg: 60.0, ..ORDER };
+    let spoon_mg = Some(30.0);
+    let settings = Settings { forecast: None, spoon_mg, ..Settings::for_target(60.0, spoon_mg) };
+    let mut bench =
+        Scripted { refills: true, spoon_mg: Some([15.0; 2]), ..Scripted::giving(&[5.0]) };
+    let (weighed, said) = weigh_hard(&mut bench, &order, &settings);
+    assert_eq!((weighed.outcome, weighed.reading_mg), (Outcome::Within, Some(60.0)));
+    assert_eq!(bench.count(Call::Approach), 4);
+    // Only the last spoonful, of which all is needed, may be loosened.
+    assert!(said.iter().filter(|it| it.contains("loosen")).count() <= 1, "{said:?}");
 }
 
 #[test]
