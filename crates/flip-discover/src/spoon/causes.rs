@@ -5,6 +5,7 @@
 //! | `cohesion` | attraction | parameter `cohesion`, more | 0.3, 0.6, 1.2 | drying |
 //! | `humidity` | attraction | liquid bridges | 0.25, 0.5, 1 | drying |
 //! | `consolidation` | attraction | bond number of an ageing contact | 2, 4, 8 | waiting |
+//! | `stickiness` | attraction | the same bond number between ageing contacts and at the spoon | 1, 3, 6 | drying |
 //! | `shape` | shape | rotation 1 and rolling friction | 0.2, 0.5, 1 | a microscope |
 //! | `size_spread` | sizes | SD of the logarithm of the radii | 0.1, 0.2, 0.3 | a sieve |
 //! | `spoon_adhesion` | spoon | bond number of grains to the spoon | 1, 3, 6 | another spoon |
@@ -34,6 +35,8 @@ pub enum SpoonCause {
     Humidity,
     /// Contacts grow stronger with their age.
     Consolidation,
+    /// What attracts grains to each other attracts them to the spoon as well.
+    Stickiness,
     /// Grains turn, and resist turning.
     Shape,
     /// Grains differ in size.
@@ -59,10 +62,11 @@ pub(super) const AMPLITUDES: usize = 3;
 
 impl SpoonCause {
     /// The catalogue.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Cohesion,
         Self::Humidity,
         Self::Consolidation,
+        Self::Stickiness,
         Self::Shape,
         Self::SizeSpread,
         Self::SpoonAdhesion,
@@ -80,6 +84,7 @@ impl SpoonCause {
             Self::Cohesion => ("cohesion", "attraction"),
             Self::Humidity => ("humidity", "attraction"),
             Self::Consolidation => ("consolidation", "attraction"),
+            Self::Stickiness => ("stickiness", "attraction"),
             Self::Shape => ("shape", "shape"),
             Self::SizeSpread => ("size_spread", "sizes"),
             Self::SpoonAdhesion => ("spoon_adhesion", "spoon"),
@@ -100,7 +105,7 @@ impl SpoonCause {
             Self::Consolidation => [2.0, 4.0, 8.0],
             Self::Shape => [0.2, 0.5, 1.0],
             Self::SizeSpread => [0.1, 0.2, 0.3],
-            Self::SpoonAdhesion | Self::Charge => [1.0, 3.0, 6.0],
+            Self::Stickiness | Self::SpoonAdhesion | Self::Charge => [1.0, 3.0, 6.0],
             Self::SpoonHoldup => [0.1, 0.3, 0.6],
             Self::SpoonFriction => [0.2, 0.4, 0.8],
             Self::GravityScale => [-0.4, -0.2, 0.2],
@@ -134,6 +139,9 @@ impl SpoonCause {
             Self::Cohesion => parameter("cohesion"),
             Self::GravityScale => parameter("gravity_scale"),
             Self::Shape => grains(&[("rotation", 1.0), ("rolling_friction", amplitude)]),
+            Self::Stickiness => {
+                grains(&[("consolidation", amplitude), ("spoon_adhesion", amplitude)])
+            }
             Self::SpoonHoldup => grains(&[("hold_up", amplitude)]),
             Self::SpoonFriction => Change { spoon_friction: amplitude, ..usual },
             Self::Actuator => Change { stroke: 1.0 - amplitude, ..usual },
@@ -149,7 +157,7 @@ impl SpoonCause {
     /// The experiment that would prove it.
     pub fn experiment(self) -> &'static str {
         match self {
-            Self::Cohesion | Self::Humidity => {
+            Self::Cohesion | Self::Humidity | Self::Stickiness => {
                 "Dry part of the powder for a day, make the same spoonfuls of both on one day, and compare the pitch at which they begin to flow."
             }
             Self::Consolidation => {

@@ -5,7 +5,8 @@
 //! readings.rs    what a balance shows of it          summaries.rs  what spoonfuls say, in a dozen numbers
 //! field.rs       the replays of one powder           screen.rs     is anything wrong
 //! evidence.rs    how well each cause explains it     verdict.rs    what may be claimed
-//! held_out.rs    worth on spoonfuls left out         report.rs     the document        words.rs  its sentences
+//! held_out.rs    worth on spoonfuls left out         version.rs    an extended simulator
+//! report.rs      the document                        words.rs      its sentences
 //! ```
 //!
 //! Angle and spoon are judged together: a cause that moves the heap's angle is given the friction
@@ -24,6 +25,7 @@ pub mod report;
 mod screen;
 mod summaries;
 mod verdict;
+mod version;
 mod words;
 
 #[cfg(test)]
@@ -32,6 +34,7 @@ mod tests;
 pub use ask::{Calibrated, Change, Simulator, SpoonHeap, SpoonReplay};
 pub use causes::SpoonCause;
 pub use report::SpoonReport;
+pub use version::extended;
 
 use crate::judge::claim::{Proposal, verdict};
 use crate::report::Verdict;

@@ -1,3 +1,4 @@
+mod simulated;
 mod truth;
 
 use super::evidence::Whitening;
