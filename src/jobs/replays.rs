@@ -137,8 +137,14 @@ mod tests {
             changed[k] = value;
             Some(changed)
         };
-        let expected =
-            vec![Some(usual.clone()), None, with(1, 4.0), with(2, 2000.0), with(3, 0.8), with(4, 3.0)];
+        let expected = vec![
+            Some(usual.clone()),
+            None,
+            with(1, 4.0),
+            with(2, 2000.0),
+            with(3, 0.8),
+            with(4, 3.0),
+        ];
         assert_eq!(all, expected);
     }
 }

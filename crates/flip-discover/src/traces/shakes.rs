@@ -18,9 +18,7 @@ use super::level::Verdict;
 use super::noise::{Masses, SCATTERS, ShakeNoise};
 use super::readings::Kind;
 use super::screen::Unjudged;
-use crate::thresholds::trace::{
-    EXPLAINED_MIN, LAWFUL, SPARE_SHAKES_MIN, TIPPED_DEG, TIPPED_SHARE,
-};
+use crate::thresholds::trace::{EXPLAINED_MIN, LAWFUL, SPARE_SHAKES_MIN, TIPPED_DEG, TIPPED_SHARE};
 use nalgebra::{DMatrix, DVector};
 
 /// Number of sets of simulated doses among which this one would be the first of twenty.

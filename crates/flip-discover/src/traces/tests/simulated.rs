@@ -10,17 +10,17 @@ use flip_sim::dispense::{self, Dispenser};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// Display step of a balance for a spoon of 4 mg, and SD of a reading, mg.
+/// Display step of a balance for a spoon of 3 mg, and SD of a reading, mg.
 const BALANCE_MG: [f64; 2] = [0.1, 0.03];
-const SHAKES: u32 = 14;
+const SHAKES: u32 = 12;
 
 /// A dose as the shipped policy makes it: it tips until powder falls, then shakes there.
 fn dose(k: u64, seed: u64) -> Weighing {
     let (powder, friction) = [("sand", 0.2), ("salt", 0.6)][(k % 2) as usize];
     let set = ParameterSet::default().with("friction", friction).unwrap();
     let settings = dispense::Settings {
-        particles: 300,
-        semi_axes_mm: [2.2, 1.6, 1.0],
+        particles: 200,
+        semi_axes_mm: [2.15, 1.5, 0.86],
         ..dispense::Settings::default()
     };
     let mut spoon = Dispenser::new(&set, &settings, derive(seed, &[k]));
@@ -62,8 +62,8 @@ fn dose(k: u64, seed: u64) -> Weighing {
 
 #[test]
 fn readings_of_the_simulator_itself_depart_from_nothing() {
-    for seed in 1..=3 {
-        let traces = Traces { weighings: (0..16).map(|k| dose(k, seed)).collect() };
+    for seed in 1..=2 {
+        let traces = Traces { weighings: (0..12).map(|k| dose(k, seed)).collect() };
         let screening = screen_traces(&traces, &SETTINGS).unwrap();
         let best = screening.judged.first().map(|it| (it.mechanism.name().0, it.probability));
         println!("{seed}: p {} {best:?} {:?}", screening.p_value, screening.unjudged);
