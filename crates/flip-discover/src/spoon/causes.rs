@@ -188,3 +188,33 @@ impl SpoonCause {
 fn named(pairs: &[(&str, f64)]) -> std::collections::BTreeMap<String, f64> {
     pairs.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flip_core::domain::parameters::ParameterSet;
+    use flip_sim::mechanisms::Extensions;
+
+    #[test]
+    fn every_cause_is_something_that_the_simulator_has_and_changes() {
+        for cause in SpoonCause::ALL {
+            for amplitude in cause.amplitudes() {
+                let change = cause.change(amplitude);
+                assert_ne!(change, Change::default(), "{cause:?}");
+                let none = Extensions::default();
+                let asked = change.patch.amplitudes.len();
+                let mut extended = none.patched(&change.patch).unwrap();
+                let given = extended.amplitudes().iter().filter(|it| *it.1 != 0.0).count();
+                assert_eq!(given, asked, "{cause:?} {amplitude}");
+                // Not capped: a capped amplitude would be another than the one reported.
+                for (name, value) in &change.patch.amplitudes {
+                    assert!(none.with(name, *value).is_ok(), "{name} {value}");
+                }
+            }
+            let names = SpoonCause::ALL.iter().filter(|it| it.name().0 == cause.name().0);
+            assert_eq!(names.count(), 1);
+        }
+        let cohesive = SpoonCause::Cohesion.change(0.6).patch.powder(&ParameterSet::default());
+        assert_eq!(cohesive.cohesion(), 0.6);
+    }
+}

@@ -66,3 +66,46 @@ pub(super) fn shown(
 fn noise(sd_mg: f64, step_mg: f64) -> f64 {
     (sd_mg * sd_mg / 2.0 - step_mg * step_mg / 12.0).max(0.0).sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flip_core::domain::shake::Shake;
+    use flip_core::stats::summary::{mean, sd};
+
+    #[test]
+    fn differences_of_readings_scatter_as_the_balance_was_said_to_and_days_are_shared() {
+        let shake = Shake {
+            pitch_deg: 30.0,
+            shake_mm: 4.0,
+            acceleration_m_s2: None,
+            spoon_mg: None,
+            fell_mg: 0.0,
+            sd_mg: 0.5,
+            since_filled_s: None,
+        };
+        let spoonful = |session: &str| Spoonful {
+            weighing: "w".to_owned(),
+            spoonful: 1,
+            powder: "salt".to_owned(),
+            lot: None,
+            session: Some(session.to_owned()),
+            readability_mg: Some(1.0),
+            shakes: vec![shake; 4000],
+        };
+        let fell: Vec<f64> = (0..4000).map(|k| f64::from(k % 7) * 0.37).collect();
+        let none = Scatter { spoonful: 0.0, day: 0.0 };
+        let seen = shown(&spoonful("a"), &fell, none, 3, 0);
+        assert!(seen.iter().all(|mg| (mg - mg.round()).abs() < 1e-9));
+        let errors: Vec<f64> = seen.iter().zip(&fell).map(|(seen, fell)| seen - fell).collect();
+        // 4000 differences, each sharing a reading with the next: 4 standard errors of the SD.
+        assert!((sd(&errors).unwrap() - 0.5).abs() < 0.04, "{:?}", sd(&errors));
+        assert!(mean(&errors).unwrap().abs() < 1e-3);
+        let days = Scatter { spoonful: 0.0, day: 0.2 };
+        let mass = |session: &str, at: usize| {
+            shown(&spoonful(session), &fell, days, 3, at).iter().sum::<f64>()
+        };
+        assert!((mass("a", 0) - mass("a", 1)).abs() <= 4.0, "one day, one factor");
+        assert!((mass("a", 0) - mass("b", 0)).abs() > 20.0);
+    }
+}

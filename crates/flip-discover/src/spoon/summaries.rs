@@ -170,3 +170,55 @@ fn stroke(mm: f64, middle: f64) -> (f64, f64) {
         (true, false) => (middle, 100.0),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spoonful(steps: &[(f64, f64)]) -> Spoonful {
+        let shake = |&(pitch_deg, shake_mm): &(f64, f64)| Shake {
+            pitch_deg,
+            shake_mm,
+            acceleration_m_s2: None,
+            spoon_mg: None,
+            fell_mg: 0.0,
+            sd_mg: 0.4,
+            since_filled_s: None,
+        };
+        Spoonful {
+            weighing: "w".to_owned(),
+            spoonful: 1,
+            powder: "salt".to_owned(),
+            lot: None,
+            session: None,
+            readability_mg: None,
+            shakes: steps.iter().map(shake).collect(),
+        }
+    }
+
+    #[test]
+    fn flow_begins_beyond_the_noise_of_the_balance_or_beyond_the_last_pitch() {
+        let tipped = spoonful(&[(10.0, 4.0), (20.0, 4.0), (30.0, 4.0), (40.0, 4.0)]);
+        // Three SD are 1.2 mg: what a display of 1 mg shows by chance is no powder.
+        assert_eq!(onset_deg(&tipped, &[1.0, -1.0, 1.5, 4.0]), 30.0);
+        assert_eq!(onset_deg(&tipped, &[0.7, 0.7, 0.0, 0.0]), 20.0);
+        assert_eq!(onset_deg(&tipped, &[0.0, 0.5, 0.0, 0.0]), 45.0);
+    }
+
+    #[test]
+    fn cells_are_those_of_the_steps_made_and_hold_their_means() {
+        let steps = [(12.0, 2.0), (14.0, 2.0), (16.0, 2.0), (18.0, 9.0), (33.0, 9.0), (34.0, 9.0)];
+        let mut steps = steps.to_vec();
+        steps.extend([(36.0, 9.0), (44.0, 2.0), (45.0, 2.0)]);
+        let one = spoonful(&steps);
+        let frame = Frame::of(vec![&one]);
+        let fell: &[f64] = &[0.0, 1.0, 2.0, 50.0, 4.0, 5.0, 6.0, 0.0, 0.0];
+        // One long stroke below 20 deg and two beyond 40 are no cells.
+        assert_eq!(frame.cells.iter().map(|cell| cell.steps).collect::<Vec<_>>(), [3, 3]);
+        assert_eq!([frame.cell_mg(0, &[fell]), frame.cell_mg(1, &[fell])], [1.0, 5.0]);
+        let all = frame.summed(&[fell]);
+        assert_eq!((all.len(), frame.floors().len()), (frame.len(), frame.len()));
+        assert!((all[1] - 69f64.ln()).abs() < 1e-12 && (all[2] - 53.0 / 69.0).abs() < 1e-12);
+        assert!((all[4] - 1.3f64.ln()).abs() < 1e-12 && (all[5] - 5.3f64.ln()).abs() < 1e-12);
+    }
+}

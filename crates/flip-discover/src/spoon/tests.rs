@@ -6,6 +6,7 @@
 //! heap     22 + 14 friction + 8 cohesion + 4 rolling + 0.5 consolidation deg
 //! ```
 
+#[path = "simulated_tests.rs"]
 mod simulated;
 
 use super::*;

@@ -1,3 +1,4 @@
+#[path = "simulated_tests.rs"]
 mod simulated;
 mod truth;
 

@@ -1,5 +1,5 @@
 //! Weighings of FLIP's own spoon, judged by replays of it: the mechanisms themselves, with few
-//! grains in a small spoon. `FLIP_SPOON_GRAINS` and `FLIP_SPOON_SEEDS` make a table of it.
+//! grains in a small spoon.
 
 use super::super::*;
 use super::BALANCE_SD_MG;
@@ -175,40 +175,4 @@ fn the_simulated_spoon_departs_from_itself_no_more_than_by_chance_and_a_sticky_o
         found.verdict
     );
     assert!(first.cause == SpoonCause::SpoonAdhesion && first.effect_mg < 0.0, "{first:?}");
-}
-
-/// `FLIP_SPOON_GRAINS=2500 FLIP_SPOON_SEEDS=10 cargo test --release -p flip-discover --lib -- rates_of --ignored --nocapture`
-#[test]
-#[ignore = "a table, not a test: an hour of CPU"]
-fn rates_of_the_simulated_spoon() {
-    let number = |name: &str, usual: u64| {
-        std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(usual)
-    };
-    let grains = number("FLIP_SPOON_GRAINS", 300) as u32;
-    let real = Real::new(Size { grains, steps: 15, spoonfuls: 4 });
-    let seeds = number("FLIP_SPOON_SEEDS", 5);
-    let row = |name: String, change: &Change| {
-        let mut cells = Vec::new();
-        for seed in 0..seeds {
-            let set = sets()[(seed % 2) as usize];
-            let found = judged(&real, &real.weighed(&set, change, 1000 + seed), &SpoonCause::ALL);
-            let first = found.causes.first();
-            let named = first.map_or(String::new(), |it| {
-                format!(" {} {:.2}", it.cause.name().0, it.probability)
-            });
-            let gain = found.gain.map_or(String::new(), |it| {
-                format!(
-                    " {:.1}>{:.1} ({:.1})",
-                    it.error_before_mg, it.error_after_mg, it.error_sham_mg
-                )
-            });
-            cells.push(format!("{:?}{named}{gain}", found.verdict));
-        }
-        println!("{name}: {}", cells.join(" | "));
-    };
-    row("nothing".to_owned(), &Change::default());
-    for cause in SpoonCause::ALL {
-        let amplitude = cause.amplitudes()[2];
-        row(format!("{} {amplitude}", cause.name().0), &cause.change(amplitude));
-    }
 }
