@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may name; a room may always name itself. A crate of one room is not here: its manifest says what it may name.
-const ARROWS: [(&str, &[&str]); 23] = [
+const ARROWS: [(&str, &[&str]); 24] = [
     ("domain", &[]),
     ("stats", &[]),
     ("hardware", &["domain"]),
@@ -49,6 +49,7 @@ const ARROWS: [(&str, &[&str]); 23] = [
     ("worth", &["domain", "stats", "thresholds", "data", "report", "causes", "judge"]),
     ("extend", &["domain", "stats", "thresholds", "data", "report", "causes", "judge"]),
     ("traces", &["domain", "stats", "thresholds", "report", "judge"]),
+    ("spoon", &["domain", "stats", "thresholds", "report", "judge", "extend"]),
     (
         "investigate",
         &["domain", "stats", "thresholds", "data", "report", "causes", "judge", "worth", "traces"],
@@ -111,13 +112,14 @@ const CONFINED: [(&str, &[&str]); 28] = [
 ];
 
 /// What the bodies of jobs consist of: they run wherever somebody implements `JobHost`.
-const BODIES: [&str; 9] = [
+const BODIES: [&str; 10] = [
     "calibrate",
     "evaluate",
     "heaps",
     "host",
     "investigate",
     "observe",
+    "replays",
     "repose",
     "runner",
     "train",

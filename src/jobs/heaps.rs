@@ -170,7 +170,7 @@ impl<'a> Pourer<'a> {
 }
 
 /// This heap, read as often as those of an investigation are.
-fn read(heap: HeapExperiment) -> HeapExperiment {
+pub(super) fn read(heap: HeapExperiment) -> HeapExperiment {
     HeapExperiment { settings: Settings { readings: READINGS, ..heap.settings }, ..heap }
 }
 
@@ -186,7 +186,7 @@ fn computed(heap: &VariedHeap) -> Settings {
 }
 
 /// A powder and the heap experiment under conditions.
-fn under(set: &ParameterSet, patch: &Patch) -> Option<(ParameterSet, Settings)> {
+pub(super) fn under(set: &ParameterSet, patch: &Patch) -> Option<(ParameterSet, Settings)> {
     let usual = Settings::default();
     let more = |name: &str| patch.heap.get(name).copied().unwrap_or(0.0);
     let settings = Settings {

@@ -28,6 +28,7 @@ mod lease;
 mod leased;
 pub mod observe;
 mod priority;
+pub mod replays;
 pub mod repose;
 mod rows;
 mod runner;
@@ -41,7 +42,7 @@ pub use conditions::Conditions;
 pub use priority::give_way_to_the_bench;
 pub use runner::{
     Cores, HeapExperiment, HeapRunner, ObservableExperiment, ObservableRunner, Run, Runner,
-    heaps_on_cores, observables_on_cores,
+    SpoonRunner, heaps_on_cores, observables_on_cores, spoons_on_cores,
 };
 pub use spec::{
     CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec,

@@ -3,6 +3,7 @@
 
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
+use flip_sim::replay::{Replay, Replayed};
 use flip_sim::repose::{Refusal, Repose, Settings};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
@@ -90,6 +91,17 @@ pub type HeapRunner = Arc<dyn Runner<HeapExperiment, Result<Repose, Refusal>>>;
 
 /// Simulates the other experiments, reduced to a number.
 pub type ObservableRunner = Arc<dyn Runner<ObservableExperiment, Result<f64, Refusal>>>;
+
+/// Replays spoonfuls.
+pub type SpoonRunner = Arc<dyn Runner<Replay, Result<Replayed, Refusal>>>;
+
+/// Replays spoonfuls on this machine's cores, each by a function of what is to be made again:
+/// [`replay`](flip_sim::replay::replay) in the product.
+pub fn spoons_on_cores(
+    one: impl Fn(&Replay) -> Result<Replayed, Refusal> + Send + Sync + 'static,
+) -> SpoonRunner {
+    Arc::new(Cores(one))
+}
 
 /// Simulates heaps on this machine's cores, each by a function of set, settings and seed:
 /// [`repose`](flip_sim::repose::repose) in the product, a formula in tests.

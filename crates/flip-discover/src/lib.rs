@@ -20,6 +20,7 @@
 //! extend/         extension: an extended simulator as data                            claimed: from what was found to one
 //!                 fit: its amplitude by simulated heaps
 //! traces/         the same for balance readings of weighings
+//! spoon/          the same for what spoons let fall, against replays by the simulator
 //! investigate/    all of it, channel by channel, into one document, and its sentences
 //! ```
 //!
@@ -43,6 +44,7 @@ mod extend;
 mod investigate;
 mod judge;
 pub mod report;
+pub mod spoon;
 mod thresholds;
 pub mod traces;
 mod worth;

@@ -124,4 +124,9 @@ pub(crate) mod trace {
     /// Share of simulated readings, which follow a law, that wander as much as those reported to
     /// follow none: the false alarms that [`SIGNIFICANCE`](super::SIGNIFICANCE) accepts.
     pub(crate) const LAWFUL: f64 = super::SIGNIFICANCE;
+    /// Rise of the pitch before powder falls from which on a dose looked for an onset, degrees:
+    /// more than a bench's pitch wanders by itself, less than any policy tips in search.
+    pub(crate) const TIPPED_DEG: f64 = 5.0;
+    /// Share of such doses from which on a law without an onset cannot be fitted.
+    pub(crate) const TIPPED_SHARE: f64 = 0.25;
 }

@@ -223,12 +223,18 @@ impl Dispenser {
         self.carry_out(pitch, action.executed_shake_mm(), action.strokes)
     }
 
+    /// Makes the next shakes within these limits.
+    pub(super) fn shake_within(&mut self, limits: MotionLimits) {
+        self.settings.shake = limits;
+    }
+
     /// Returns the spoon to level.
     pub fn level(&mut self) -> Poured {
         self.carry_out(0.0, 0.0, 0)
     }
 
-    fn carry_out(&mut self, pitch_deg: f64, shake_mm: f64, strokes: u32) -> Poured {
+    /// Pitches to an angle within no limits, then shakes.
+    pub(super) fn carry_out(&mut self, pitch_deg: f64, shake_mm: f64, strokes: u32) -> Poured {
         let before = (self.vial, self.spilled);
         let mut duration_s = 0.0;
         if pitch_deg != self.pitch_deg {

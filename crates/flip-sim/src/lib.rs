@@ -74,6 +74,7 @@ mod neighbours;
 pub mod observe;
 mod pairs;
 mod physx;
+pub mod replay;
 pub mod repose;
 mod scene;
 pub mod scoop;

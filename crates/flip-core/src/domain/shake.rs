@@ -16,6 +16,9 @@ pub struct Shake {
     pub pitch_deg: f64,
     /// Amplitude as executed, mm; 0 where the step only changed the pitch.
     pub shake_mm: f64,
+    /// How often it was made before the reading.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub strokes: u32,
     /// Largest acceleration of the stroke, m/s^2; `None` if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acceleration_m_s2: Option<f64>,
@@ -29,6 +32,14 @@ pub struct Shake {
     /// Time from filling the spoon to the end of the step, s; `None` if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub since_filled_s: Option<f64>,
+}
+
+fn one() -> u32 {
+    1
+}
+
+fn is_one(strokes: &u32) -> bool {
+    *strokes == 1
 }
 
 /// The steps of one filling of the spoon, in order, and what it was filled with.
@@ -64,6 +75,7 @@ impl Shake {
         bounded("shake_mm", self.shake_mm, 0.0, 100.0, "mm")?;
         bounded("fell_mg", self.fell_mg, -SPOONFUL_MG_MAX, SPOONFUL_MG_MAX, "mg")?;
         bounded("sd_mg", self.sd_mg, 1e-4, 1e3, "mg")?;
+        bounded("strokes", f64::from(self.strokes), 1.0, 1000.0, "")?;
         let optional = [
             ("acceleration_m_s2", self.acceleration_m_s2, 0.0, 1e3, "m/s^2"),
             ("spoon_mg", self.spoon_mg, -SPOONFUL_MG_MAX, SPOONFUL_MG_MAX, "mg"),
@@ -92,6 +104,7 @@ mod tests {
         let shake = Shake {
             pitch_deg: 40.0,
             shake_mm: 0.0,
+            strokes: 1,
             acceleration_m_s2: None,
             spoon_mg: Some(-0.5),
             fell_mg: -1.0,

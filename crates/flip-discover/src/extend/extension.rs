@@ -38,6 +38,8 @@ pub enum Form {
     Course(Vec<[f64; 2]>),
     /// A strength for each name.
     Levels(BTreeMap<String, f64>),
+    /// 1 for the powders listed, whatever the conditions, and 0 for all others.
+    Constant,
 }
 
 /// A covariate that an extension acts through.
@@ -281,7 +283,8 @@ impl Extension {
     /// Effect in degrees and factor of a powder.
     fn on(&self, powder: Option<&str>) -> (f64, f64) {
         let own = self.powders.iter().find(|on| Some(on.powder.as_str()) == powder);
-        own.map_or((self.effect_deg, 1.0), |own| (own.effect_deg, own.factor))
+        let other = if self.form == Form::Constant { (0.0, 0.0) } else { (self.effect_deg, 1.0) };
+        own.map_or(other, |own| (own.effect_deg, own.factor))
     }
 
     /// u; `None` where a condition is missing or of the wrong kind.
@@ -299,6 +302,7 @@ impl Extension {
                 match form {
                     Form::Named(name) => self.named(name, &values)?,
                     Form::Course(course) => along(course, *values.first()?)?,
+                    Form::Constant => 1.0,
                     Form::Levels(_) => return None,
                 }
             }

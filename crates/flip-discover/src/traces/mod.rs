@@ -1,4 +1,6 @@
-//! Finds what the simulated bench gets wrong, from balance readings during weighings.
+//! Finds what the simulated balance gets wrong, from balance readings during weighings, and what
+//! makes shakes depart from a law of amplitude, pitch and powder. What the simulated *spoon* gets
+//! wrong is for `spoon/`, which replays weighings; a dose that looks for its onset is left to it.
 //!
 //! ```text
 //! readings.rs    what was recorded

@@ -176,6 +176,7 @@ pub fn screen_traces(traces: &Traces, settings: &Settings) -> Result<TraceScreen
     let of_shakes = levels[Level::Shakes as usize].as_ref().zip(shake_scatter);
     let unjudged = of_shakes.and_then(|(judged, scatter)| shakes::unlike(&design, scatter, judged));
     let unjudged = unjudged.or_else(|| shakes::unfilled(&design));
+    let unjudged = plan.masses.and_then(|masses| shakes::sought(&design, masses)).or(unjudged);
     if unjudged.is_some() {
         levels[Level::Shakes as usize] = None;
     }

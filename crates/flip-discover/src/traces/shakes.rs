@@ -18,11 +18,13 @@ use super::level::Verdict;
 use super::noise::{Masses, SCATTERS, ShakeNoise};
 use super::readings::Kind;
 use super::screen::Unjudged;
-use crate::thresholds::trace::{EXPLAINED_MIN, LAWFUL, SPARE_SHAKES_MIN};
+use crate::thresholds::trace::{EXPLAINED_MIN, LAWFUL, SPARE_SHAKES_MIN, TIPPED_DEG, TIPPED_SHARE};
 use nalgebra::{DMatrix, DVector};
 
 /// Number of sets of simulated doses among which this one would be the first of twenty.
 const SETS: usize = 19;
+/// SD of a plateau's level that a piece of powder exceeds.
+const PIECE_SD: f64 = 3.0;
 
 impl Masses {
     /// Masses as they are judged, around the response.
@@ -73,6 +75,35 @@ pub(super) fn unfilled(design: &Design) -> Option<Unjudged> {
             "the spoon's fill was not recorded (spoon_fill_mg), and a simulated spoon empties and packs by itself",
         )
     })
+}
+
+/// Why doses that looked for the pitch at which powder flows are not judged: the law has no onset.
+/// A simulated spoon has one, and its own doses would depart from the law in every cause at once.
+/// The spoon channel replays them instead.
+pub(super) fn sought(design: &Design, masses: &Masses) -> Option<Unjudged> {
+    let fell = design.masses(&design.shown_mg);
+    let doses = design.logs.iter().enumerate().filter(|(_, log)| log.kind == Kind::Dose);
+    let tipped = doses.filter(|(log, _)| {
+        rise_deg(design, &fell, PIECE_SD * masses.level_sd_mg, *log) >= TIPPED_DEG
+    });
+    let (tipped, all) =
+        (tipped.count(), design.logs.iter().filter(|log| log.kind == Kind::Dose).count());
+    (tipped as f64 >= TIPPED_SHARE * all as f64 && tipped > 0).then(|| {
+        let why = format!(
+            "{tipped} of {all} doses tipped the spoon by {TIPPED_DEG} deg or more before powder fell, and no law of amplitude and pitch has an onset"
+        );
+        unjudged(design, &why)
+    })
+}
+
+/// How far the pitch rose from the first shake of a dose to the first that let fall this mass, deg.
+fn rise_deg(design: &Design, fell: &[f64], piece_mg: f64, log: usize) -> f64 {
+    let pitch = |k: usize| design.plateaus[design.shakes[k].after].pitch_deg;
+    let own: Vec<usize> =
+        (0..design.shakes.len()).filter(|&k| design.shakes[k].log == log).collect();
+    let first = own.iter().find(|&&k| fell[k] >= piece_mg).or(own.last());
+    let rise = || Some(pitch(*first?)? - pitch(*own.first()?)?);
+    rise().unwrap_or(0.0)
 }
 
 /// Why there is no law around which shakes could be judged, if there is none: they scatter more

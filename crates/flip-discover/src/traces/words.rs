@@ -161,16 +161,25 @@ fn spoken(cause: TraceCause) -> &'static str {
     }
 }
 
+/// What readings depart from: the simulated balance, or the law fitted to the shakes, which is no
+/// simulated spoon.
+fn departs(cause: TraceCause) -> &'static str {
+    match is_of_spoon(cause) {
+        true => "Masses of shakes depart from a law of amplitude, pitch and powder",
+        false => "Balance readings depart from the simulated balance",
+    }
+}
+
+fn is_of_spoon(cause: TraceCause) -> bool {
+    use TraceMechanism::{Actuator, Densification, FillLevel, SpoonHoldup};
+    matches!(cause, TraceCause::Known(SpoonHoldup | FillLevel | Densification | Actuator))
+}
+
 /// The quantity the effect changes.
 fn changed(cause: TraceCause) -> &'static str {
     match cause {
         TraceCause::Known(TraceMechanism::VibrationNoise) => "the SD of a reading changes by ",
-        TraceCause::Known(
-            TraceMechanism::SpoonHoldup
-            | TraceMechanism::FillLevel
-            | TraceMechanism::Densification
-            | TraceMechanism::Actuator,
-        ) => "the mass of a shake changes by ",
+        cause if is_of_spoon(cause) => "the mass of a shake changes by ",
         _ => "",
     }
 }
@@ -194,19 +203,21 @@ pub(super) fn sentence(told: &[&TraceJudged], channel: &TraceChannel) -> String 
         .map_or(String::new(), |why| format!("What the spoon lets fall is not judged: {why}."));
     let first = match (channel.verdict, told) {
         (Verdict::Cause, [one, ..]) => format!(
-            "Balance readings depart from the simulated bench, because {}{} (probability {:.0} %).",
+            "{}, because {}{} (probability {:.0} %).",
+            departs(one.mechanism),
             spoken(one.mechanism),
             sized(one),
             100.0 * one.probability
         ),
         (Verdict::Hint, [one, ..]) => format!(
-            "A hint, and no cause yet: balance readings may depart from the simulated bench, because {}, but that changes nothing that is told from zero.",
+            "A hint, and no cause yet, perhaps because {}, but that changes nothing that is told from zero.",
             spoken(one.mechanism)
         ),
         (Verdict::Ambiguous, [one, ..]) => {
             let names: Vec<&str> = told.iter().map(|judged| spoken(judged.mechanism)).collect();
             format!(
-                "Balance readings depart from the simulated bench{}, and these data cannot tell whether {}.",
+                "{}{}, and these data cannot tell whether {}.",
+                departs(one.mechanism),
                 sized(one),
                 names.join(" or ")
             )

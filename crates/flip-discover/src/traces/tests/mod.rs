@@ -1,3 +1,5 @@
+#[path = "simulated_tests.rs"]
+mod simulated;
 mod truth;
 
 use super::evidence::Whitening;
