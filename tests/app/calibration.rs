@@ -204,8 +204,8 @@ async fn gravity_that_is_fixed_is_that_of_every_set_and_another_calibration() {
         .unwrap();
     assert!(created && held.id != free.id);
     assert_eq!(ended(&app, &held.id).await.state, JobState::Succeeded);
-    let [free, held] = [free, held].map(|job| async { app.calibration(&job.id).await.unwrap() });
-    let (free, held) = (free.await, held.await);
+    let free = app.calibration(&free.id).await.unwrap();
+    let held = app.calibration(&held.id).await.unwrap();
     assert!(free.settings.get("fixed").is_none());
     assert_eq!(held.settings["fixed"]["gravity_scale"], 1.0);
     let sets = held.result.unwrap().sets;
