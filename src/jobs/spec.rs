@@ -73,7 +73,6 @@ struct Versioned {
 /// same one gets the first's job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::large_enum_variant, reason = "a handful exist at a time")]
 pub enum JobSpec {
     /// Flowability to parameter sets.
     Calibration(CalibrationSpec),
