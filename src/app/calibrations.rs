@@ -54,6 +54,10 @@ pub struct CalibrationRequest {
     /// Grains per verification heap, 100 to 100000; default as many as in the other heaps. Not for
     /// the method `sequential`.
     pub verify_particles: Option<u32>,
+    /// Parameters held at a value instead of searched, by key, as `{"gravity_scale": 1}`; default
+    /// none: all nine are searched.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub fixed: BTreeMap<String, f64>,
     /// Extended simulator version, `sv-…`; default the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
@@ -110,6 +114,7 @@ impl App {
             verify_repeats: request.verify_repeats.unwrap_or(defaults.verify_repeats),
             readings: request.readings.unwrap_or(defaults.readings),
             seed: request.seed.unwrap_or(defaults.seed),
+            fixed: request.fixed.clone(),
             ..defaults
         };
         let trials_max = request.trials_max.unwrap_or_else(|| settings.budget());

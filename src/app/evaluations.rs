@@ -55,6 +55,10 @@ pub struct EvaluationRequest {
     /// the simulator.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub as_calibrated: bool,
+    /// Substep of the simulator, 10 to 160 us; default 80. Half of it takes twice as long. Errors at
+    /// another than the usual substep do not count for which policy weighs best.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub substep_us: Option<u32>,
     /// The spoon used for dosing; default FLIP's own, which holds about 40 mg.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spoon: Option<Spoon>,
@@ -243,6 +247,14 @@ fn checked(request: &EvaluationRequest) -> Result<Conditions> {
             check.refuse(&error.field, error.message);
             conditions
         });
+    let conditions = match request.substep_us.map(|us| conditions.with_substep(us)) {
+        Some(Err(error)) => {
+            check.refuse(&error.field, error.message);
+            conditions
+        }
+        Some(Ok(conditions)) => conditions,
+        None => conditions,
+    };
     check.done()?;
     Ok(conditions)
 }

@@ -5,7 +5,7 @@ use super::session::with_app;
 use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
-use super::{Common, FIRST_PAGE, observe};
+use super::{Common, FIRST_PAGE, observe, parameters};
 use crate::app::{
     App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Marginal, Observed,
     PAPER_LEVELS_DEG, Pair, Posterior,
@@ -17,6 +17,7 @@ use flip_core::domain::observable::Observation;
 use flip_core::domain::parameters::ParameterSet;
 use futures::future::try_join_all;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// Number of sets per level of a data set.
@@ -50,6 +51,10 @@ pub(super) struct Arguments {
     /// registered for the powder].
     #[arg(long, value_name = "KIND:SETTING=VALUE,...")]
     observation: Vec<String>,
+    /// Parameter to hold at a value instead of searching it, as in `gravity_scale=1`; may be
+    /// repeated [default: all nine are searched].
+    #[arg(long, value_name = "NAME=VALUE")]
+    fix: Vec<String>,
     #[command(flatten)]
     extended: SimulatorArguments,
     #[command(flatten)]
@@ -132,6 +137,9 @@ struct Powder {
     target_deg: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     under: Option<Under>,
+    /// Parameters held at a value instead of searched.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    fixed: BTreeMap<String, f64>,
     /// Whether as many sets were found as requested; if not, the next two fields explain why.
     reached: bool,
     /// The parameter whose bound prevents it.
@@ -196,6 +204,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         .map(|text| observe::observation(text))
         .collect::<Result<_, _>>()?;
     let conditions = arguments.extended.conditions()?;
+    let fixed = parameters::fixed(&arguments.fix)?;
     let observations = (!typed.is_empty()).then_some(typed);
     let done = with_app(common, async |app| {
         let targets = targets(app, arguments).await?;
@@ -212,6 +221,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
                 (arguments.extended.simulator.clone(), conditions.clone());
             let request = CalibrationRequest {
                 observations: observations.clone(),
+                fixed: fixed.clone(),
                 simulator,
                 conditions,
                 ..request
@@ -331,7 +341,10 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
         result.sets.iter().filter_map(|set| Some(set.repose_sd_deg? / f64::from(set.runs).sqrt()));
     let standard: Vec<f64> = standard.collect();
     let method = calibration.settings.get("method").cloned().unwrap_or_default();
+    let fixed = calibration.settings.get("fixed").cloned();
+    let fixed = fixed.map_or_else(|| Ok(BTreeMap::new()), serde_json::from_value);
     Ok(Powder {
+        fixed: fixed.map_err(|error| anyhow::anyhow!(error))?,
         powder: calibration.powder.unwrap_or_default(),
         method: serde_json::from_value(method).map_err(|error| anyhow::anyhow!(error))?,
         target_deg: calibration.target.repose_deg,
@@ -409,6 +422,9 @@ fn text(document: &Document) -> String {
     for p in &document.powders {
         if let Some(under) = &p.under {
             let _ = write!(text, "\n{:.2} deg: at the reference of {}", p.target_deg, words(under));
+        }
+        for (key, value) in &p.fixed {
+            let _ = write!(text, "\n{:.2} deg: {key} held at {value}", p.target_deg);
         }
         if let (Some(particles), Some(shift)) = (p.verify_particles, p.size_shift_deg) {
             let _ = write!(

@@ -62,6 +62,10 @@ pub(super) struct Arguments {
     /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`).
     #[arg(long)]
     as_calibrated: bool,
+    /// Substep of the simulator, 10 to 160 us; half of it takes twice as long [default: 80]. Errors
+    /// at another one do not count for which policy weighs best.
+    #[arg(long, value_name = "US", allow_negative_numbers = true)]
+    substep_us: Option<u32>,
     /// Bench file whose spoon to use [default: FLIP's own spoon].
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
@@ -122,6 +126,7 @@ async fn evaluate(
         particles: arguments.particles,
         extensions: parameters::amplitudes(&arguments.extension)?,
         as_calibrated: arguments.as_calibrated,
+        substep_us: arguments.substep_us,
         spoon: spoon(arguments.bench.as_deref())?,
         simulator: arguments.extended.simulator.clone(),
         conditions: arguments.extended.conditions()?,
@@ -230,9 +235,13 @@ fn setting(document: &Document) -> String {
     };
     let under =
         document.under.as_ref().map_or_else(String::new, |under| format!("{}; ", words(under)));
+    let substep = match document.conditions.substep_us {
+        Some(us) => format!("substep {us} us; "),
+        None => String::new(),
+    };
     format!(
         "Simulation: no powder was weighed. Policy {}; a balance that shows steps of {} mg; at most {} steps a dose; {} grains on \
-         the spoon, {extensions}; {under}seed {}.",
+         the spoon, {extensions}; {substep}{under}seed {}.",
         document.policy,
         document.readability_mg,
         document.max_shakes,
@@ -323,6 +332,15 @@ mod tests {
             "{summary}"
         );
         assert!(text.contains("Published, real robot: 2.12 +- 1.53 mg"), "{text}");
+    }
+
+    #[test]
+    fn the_text_names_a_substep_that_is_not_the_usual_one() {
+        let usual = document(15.0);
+        assert!(!text(&usual).contains("substep"));
+        let conditions = usual.conditions.with_substep(40).unwrap();
+        let finer = text(&Document { conditions, ..usual });
+        assert!(finer.lines().next().unwrap().contains("; substep 40 us; seed 7."), "{finer}");
     }
 
     #[test]

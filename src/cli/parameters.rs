@@ -67,16 +67,30 @@ pub(super) fn extensions(flags: &[String]) -> Result<Extensions, FieldError> {
 /// Names of mechanisms and their amplitudes as given in flags, not yet checked; for a repeated name
 /// the last one counts.
 pub(super) fn amplitudes(flags: &[String]) -> Result<BTreeMap<String, f64>, FieldError> {
-    let amplitude = |flag: &String| {
-        let parts = flag
-            .split_once('=')
-            .and_then(|(name, amplitude)| Some((name, amplitude.parse().ok()?)));
-        parts.map(|(name, amplitude)| (name.to_owned(), amplitude)).ok_or_else(|| {
+    numbers("extension", "rotation=1", flags)
+}
+
+/// Parameters to hold at a value as given in flags, not yet checked; for a repeated name the last
+/// one counts.
+pub(super) fn fixed(flags: &[String]) -> Result<BTreeMap<String, f64>, FieldError> {
+    numbers("fix", "gravity_scale=1", flags)
+}
+
+/// Names and numbers, as in `example`.
+fn numbers(
+    field: &str,
+    example: &str,
+    flags: &[String],
+) -> Result<BTreeMap<String, f64>, FieldError> {
+    let number = |flag: &String| {
+        let parts =
+            flag.split_once('=').and_then(|(name, number)| Some((name, number.parse().ok()?)));
+        parts.map(|(name, number)| (name.to_owned(), number)).ok_or_else(|| {
             let message = format!(
-                "must be a name, an equals sign and a number, as in `rotation=1`, got `{flag}`"
+                "must be a name, an equals sign and a number, as in `{example}`, got `{flag}`"
             );
-            FieldError::new("extension", message)
+            FieldError::new(field, message)
         })
     };
-    flags.iter().map(amplitude).collect()
+    flags.iter().map(number).collect()
 }

@@ -8,7 +8,7 @@ use crate::telemetry;
 use flip_core::domain::FieldError;
 use flip_sim as sim;
 use flip_sim::mechanisms::Extensions;
-use flip_sim::validate::{Check, Experiment, Suite, experiments};
+use flip_sim::validate::{Check, Convergence, Experiment, Suite, Verdict, experiments};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -115,6 +115,14 @@ fn text(document: &Document) -> String {
         "\n\n{} passed, {} known deviations, {} failed",
         document.passed, document.known_deviations, document.failed
     ));
+    let doses: Vec<(&Check, &Convergence)> = document
+        .checks
+        .iter()
+        .filter_map(|check| Some((check, check.convergence.as_ref()?)))
+        .collect();
+    if !doses.is_empty() {
+        text.push_str(&format!("\n\n{}", over_substeps(&doses)));
+    }
     for check in &document.checks {
         if let Some(known) = check.known_deviation {
             text.push_str(&format!(
@@ -127,6 +135,66 @@ fn text(document: &Document) -> String {
         }
     }
     text
+}
+
+/// What each probe of a dose gave at each substep, and what of it meets the goal.
+fn over_substeps(doses: &[(&Check, &Convergence)]) -> String {
+    let rows: Vec<Vec<String>> = doses
+        .iter()
+        .flat_map(|(check, of)| of.substeps.iter().enumerate().map(|(k, _)| level(check, of, k)))
+        .collect();
+    let header =
+        ["dose", "substep us", "mg", "+-", "from finest mg", "95 % interval", "goal mg", "verdict"];
+    let met = |k: usize| {
+        let is_met = |of: &Convergence| of.differences[k].verdict == Verdict::Met;
+        doses.iter().filter(|(_, of)| is_met(of)).count()
+    };
+    let first = doses[0].1;
+    let counts: Vec<String> = (0..first.differences.len())
+        .map(|k| {
+            let us = first.differences[k].substep_us;
+            format!("{} of {} at {us} us", met(k), doses.len())
+        })
+        .collect();
+    let spoons = first.spoons;
+    format!(
+        "{}\n\nDoses over the substep, {spoons} spoons each: the goal, 3 % or 0.1 mg from the finest, is met by {}.",
+        table(&header, &rows),
+        counts.join(", ")
+    )
+}
+
+/// One substep of a probe.
+fn level(check: &Check, of: &Convergence, k: usize) -> Vec<String> {
+    let at = &of.substeps[k];
+    let name = if k == 0 { check.name } else { "" };
+    let mut row = vec![
+        name.to_owned(),
+        at.substep_us.to_string(),
+        format!("{:.3}", at.mean_mg),
+        format!("{:.3}", at.error_mg),
+    ];
+    row.extend(of.differences.get(k).map_or_else(
+        || ["-"; 4].map(str::to_owned),
+        |difference| {
+            let [low, high] = difference.interval_mg;
+            [
+                format!("{:+.3}", difference.mean_mg),
+                format!("{low:+.3} to {high:+.3}"),
+                format!("{:.3}", of.goal_mg),
+                verdict(difference.verdict).to_owned(),
+            ]
+        },
+    ));
+    row
+}
+
+fn verdict(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Met => "met",
+        Verdict::Missed => "MISSED",
+        Verdict::Undecided => "undecided",
+    }
 }
 
 fn row(check: &Check) -> Vec<String> {
@@ -161,6 +229,7 @@ fn short(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flip_sim::validate::{Difference, KnownDeviation, Level};
 
     #[test]
     fn a_check_is_found_by_its_name_and_by_its_experiment() {
@@ -172,6 +241,68 @@ mod tests {
         assert_eq!(names(&["incline", "free_fall"]).unwrap().len(), 2);
         assert_eq!(names(&[]).unwrap().len(), experiments().len());
         assert!(names(&["inclin"]).unwrap_err().message.contains("incline_threshold"));
+    }
+
+    #[test]
+    fn a_dose_over_the_substep_shows_every_substep_and_how_many_meet_the_goal() {
+        let level = |substep_us, mean_mg| Level { substep_us, mean_mg, error_mg: 0.05 };
+        let difference = |substep_us, mean_mg: f64, verdict| {
+            let interval_mg = [mean_mg - 0.1, mean_mg + 0.1];
+            Difference { substep_us, mean_mg, interval_mg, verdict }
+        };
+        let convergence = Convergence {
+            spoons: 8,
+            substeps: vec![level(80, 11.0), level(40, 10.1), level(20, 10.0)],
+            differences: vec![
+                difference(80, 1.0, Verdict::Missed),
+                difference(40, 0.1, Verdict::Met),
+            ],
+            goal_mg: 0.3,
+        };
+        let check = Check {
+            name: "dose_frictional_4mm",
+            measured: 1.1,
+            expected: 0.0,
+            tolerance: 0.3,
+            unit: "mg",
+            passed: false,
+            known_deviation: Some(KnownDeviation { miss: 0.8, reason: "the substep" }),
+            source: "",
+            convergence: Some(convergence),
+        };
+        let document = Document {
+            simulator: "pbd",
+            extensions: Extensions::default(),
+            passed: 0,
+            known_deviations: 1,
+            failed: 0,
+            checks: vec![check],
+        };
+        let text = text(&document);
+        assert!(text.contains("is met by 0 of 1 at 80 us, 1 of 1 at 40 us."), "{text}");
+        let cells = |us: &str| -> Vec<String> {
+            let row = text.lines().find(|line| line.contains(us)).unwrap();
+            row.split_whitespace().map(str::to_owned).collect()
+        };
+        assert_eq!(
+            cells("11.000"),
+            [
+                "dose_frictional_4mm",
+                "80",
+                "11.000",
+                "0.050",
+                "+1.000",
+                "+0.900",
+                "to",
+                "+1.100",
+                "0.300",
+                "MISSED"
+            ]
+        );
+        assert_eq!(cells("10.100").last().map(String::as_str), Some("met"));
+        assert_eq!(cells("10.000").last().map(String::as_str), Some("-"));
+        assert!(text.contains("dose_frictional_4mm: off by 0.8000 mg: the substep"), "{text}");
+        assert!(serde_json::to_string(&document).unwrap().contains("\"verdict\":\"missed\""));
     }
 
     #[test]

@@ -137,9 +137,10 @@ pub(super) fn perform(
     );
     let calibration = settled(found, unsaved)?;
     let target = calibrate::in_emulator_heaps(&spec.target, calibration.size_shift_deg);
-    let posterior = knowledge.map(|known| Posterior::of(known, &target, DRAWS, spec.settings.seed));
-    let sets: Vec<ParameterSet> = calibration.sets.iter().map(|set| set.parameters).collect();
+    let space = spec.settings.space().map_err(|error| JobError::Fail(error.to_string()))?;
     let seed = spec.settings.seed;
+    let posterior = knowledge.map(|known| Posterior::within(space, known, &target, DRAWS, seed));
+    let sets: Vec<ParameterSet> = calibration.sets.iter().map(|set| set.parameters).collect();
     let observed = observe::look(host, &functions.observe, &channels, &built, &sets, seed)?;
     finish(host, spec, calibration, shared.map(|(_, used)| used), posterior, observed)
 }

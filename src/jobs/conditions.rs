@@ -1,4 +1,5 @@
-//! The spoon of an evaluation: grain counts and mechanisms that a policy may never have met.
+//! The spoon of an evaluation: grain counts, mechanisms that a policy may never have met, and the
+//! solver's substep.
 
 use super::spoon::{measured, simulated};
 use flip_core::domain::bench_check::ShakeCalibration;
@@ -17,6 +18,12 @@ pub const PARTICLES_MIN: u32 = 500;
 /// rim during filling.
 pub const PARTICLES_MAX: u32 = 4000;
 
+/// Shortest substep of a spoon, us: an eighth of the usual one, at eight times its cost.
+pub const SUBSTEP_US_MIN: u32 = 10;
+/// Longest substep of a spoon, us. At this one, spoons that hardly flow already give several times
+/// as much as at a quarter of the usual one.
+pub const SUBSTEP_US_MAX: u32 = 160;
+
 /// What is on the spoon, and mechanisms added to the simulator.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -32,6 +39,9 @@ pub struct Conditions {
     /// The spoon; absent: FLIP's own.
     #[serde(default, skip_serializing_if = "Spoon::is_usual")]
     pub spoon: Spoon,
+    /// Substep of the solver, us; absent: the usual 80.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub substep_us: Option<u32>,
 }
 
 impl Default for Conditions {
@@ -43,6 +53,7 @@ impl Default for Conditions {
             extensions: spoon.extensions,
             shake: None,
             spoon: Spoon::default(),
+            substep_us: None,
         }
     }
 }
@@ -91,6 +102,18 @@ impl Conditions {
         Ok(Self { spoon, ..self })
     }
 
+    /// The same with another substep of the solver, us. The usual one means the same as none, so
+    /// that it is the same evaluation.
+    ///
+    /// # Errors
+    /// `substep_us`: shorter than [`SUBSTEP_US_MIN`] or longer than [`SUBSTEP_US_MAX`].
+    pub fn with_substep(self, substep_us: u32) -> Result<Self, FieldError> {
+        let [lower, upper] = [SUBSTEP_US_MIN, SUBSTEP_US_MAX].map(f64::from);
+        bounded("substep_us", substep_us.into(), lower, upper, "us")?;
+        let usual = (dispense::Settings::default().substep_s * 1e6).round() as u32;
+        Ok(Self { substep_us: (substep_us != usual).then_some(substep_us), ..self })
+    }
+
     /// The same with shakes as measured on the arm.
     #[must_use]
     pub fn as_calibrated(self, calibration: &ShakeCalibration) -> Self {
@@ -119,6 +142,7 @@ impl Conditions {
             particles: self.particles,
             extensions: self.extensions,
             shake,
+            substep_s: self.substep_us.map_or(usual.substep_s, |us| f64::from(us) / 1e6),
             ..usual
         };
         // It was checked when the spoon was given.
@@ -161,6 +185,24 @@ mod tests {
         let sets = [ParameterSet::default()];
         let holds = |conditions: Conditions| conditions.spoon_holds_mg(sets.iter()).unwrap();
         assert!((holds(conditions) / holds(Conditions::default()) - 1500.0 / 2500.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn another_substep_reaches_the_spoon_and_the_usual_one_is_none() {
+        let usual = Conditions::default();
+        assert_eq!(usual.with_substep(80), Ok(usual));
+        assert!(!serde_json::to_string(&usual).unwrap().contains("substep"));
+        let finer = usual.with_substep(20).unwrap();
+        assert!(!finer.are_usual());
+        assert_eq!(finer.spoon().substep_s, 20e-6);
+        assert_eq!(finer.with_substep(80), Ok(usual));
+        let text = serde_json::to_string(&finer).unwrap();
+        assert_eq!(serde_json::from_str::<Conditions>(&text).unwrap(), finer);
+        for refused in [9, 161] {
+            let error = usual.with_substep(refused).unwrap_err();
+            assert_eq!(error.field, "substep_us");
+            assert!(error.message.contains("from 10 to 160 us"), "{error:?}");
+        }
     }
 
     #[test]

@@ -1,9 +1,14 @@
 //! Specifications of jobs: everything that the result depends on, and nothing else.
 //!
-//! A stored text is a content address, so version 1 is written as it always was: fields that were
-//! added to it are omitted where they are usual. That ends with version 1. The next field makes
-//! version 2: its texts begin with their number, and [`JobSpec::read`] upgrades those of version 1,
-//! saying in one place what the absence of the field meant.
+//! A stored text is a content address, so a specification is written in the lowest version that has
+//! its fields, and those of version 1 as they always were: fields that were added to it are omitted
+//! where they are usual. Texts of later versions begin with their number, so that a program that
+//! does not know them refuses them by it.
+//!
+//! | version | adds | its absence means |
+//! |---|---|---|
+//! | 2 | `substep_us` of an evaluation's conditions | the usual substep, 80 us |
+//! | 2 | `fixed` of a calibration's settings | all nine parameters are searched |
 
 use super::conditions::Conditions;
 use flip_bench::hardware::stand::Procedure;
@@ -28,8 +33,8 @@ use sha2::{Digest, Sha256};
 /// versions are never mixed.
 pub const SIMULATOR: &str = sim::VERSION;
 
-/// Version of the specifications written here; a text without a number is of version 1.
-const VERSION: u32 = 1;
+/// Latest version of the specifications written here; a text without a number is of version 1.
+const VERSION: u32 = 2;
 
 /// Why a stored specification cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -40,7 +45,7 @@ pub enum Unreadable {
     )]
     Newer(u32),
     /// It is not of the version that it claims.
-    #[error("the specification does not read as one of version {VERSION}: {0}")]
+    #[error("the specification does not read as one of its version: {0}")]
     Malformed(#[from] serde_json::Error),
 }
 
@@ -55,11 +60,19 @@ fn unnumbered() -> u32 {
     1
 }
 
+/// A specification behind the number of its version.
+#[derive(Deserialize)]
+struct Versioned {
+    #[serde(rename = "version")]
+    _version: u32,
+    #[serde(flatten)]
+    spec: JobSpec,
+}
+
 /// Specification of a job. Equal specifications have equal results, so a second request for the
 /// same one gets the first's job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::large_enum_variant, reason = "a handful exist at a time")]
 pub enum JobSpec {
     /// Flowability to parameter sets.
     Calibration(CalibrationSpec),
@@ -234,9 +247,20 @@ impl JobSpec {
     /// [`Unreadable`]
     pub fn read(text: &str) -> Result<Self, Unreadable> {
         match serde_json::from_str::<Numbered>(text)?.version {
-            VERSION => Ok(serde_json::from_str(text)?),
+            1 => Ok(serde_json::from_str(text)?),
+            2 => Ok(serde_json::from_str::<Versioned>(text)?.spec),
             other => Err(Unreadable::Newer(other)),
         }
+    }
+
+    /// The lowest version that has the fields of this specification.
+    fn version(&self) -> u32 {
+        let is_new = match self {
+            Self::Evaluation(spec) => spec.conditions.substep_us.is_some(),
+            Self::Calibration(spec) => !spec.settings.fixed.is_empty(),
+            _ => false,
+        };
+        if is_new { VERSION } else { unnumbered() }
     }
 
     /// Its canonical text and the text's SHA-256. Fields are written in the order of their
@@ -244,6 +268,10 @@ impl JobSpec {
     pub(super) fn canonical(&self) -> (String, Vec<u8>) {
         let text = serde_json::to_string(self)
             .expect("specifications hold only finite numbers, text and lists");
+        let text = match self.version() {
+            1 => text,
+            later => text.replacen('{', &format!("{{\"version\":{later},"), 1),
+        };
         let sha256 = Sha256::digest(&text).to_vec();
         (text, sha256)
     }
@@ -266,10 +294,32 @@ mod tests {
     }
 
     #[test]
+    fn a_specification_with_a_field_of_version_2_says_so_and_one_without_keeps_its_text() {
+        for text in include_str!("spec/version_1.jsonl").lines() {
+            let mut spec = JobSpec::read(text).unwrap();
+            let field = match &mut spec {
+                JobSpec::Evaluation(spec) => {
+                    spec.conditions = spec.conditions.with_substep(40).unwrap();
+                    "\"substep_us\":40"
+                }
+                JobSpec::Calibration(spec) => {
+                    spec.settings.fixed.insert("gravity_scale".to_owned(), 1.0);
+                    "\"fixed\":{\"gravity_scale\":1.0}"
+                }
+                _ => continue,
+            };
+            let (newer, sha256) = spec.canonical();
+            assert!(newer.starts_with("{\"version\":2,") && newer.contains(field), "{newer}");
+            assert_eq!(JobSpec::read(&newer).unwrap(), spec);
+            assert_ne!(sha256, Sha256::digest(text).to_vec(), "another job");
+        }
+    }
+
+    #[test]
     fn a_newer_version_is_refused_by_its_number_and_damage_by_its_place() {
         let text = include_str!("spec/version_1.jsonl").lines().next().unwrap();
-        let newer = text.replacen('{', "{\"version\":2,", 1);
-        assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(2))));
+        let newer = text.replacen('{', "{\"version\":3,", 1);
+        assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(3))));
         let damaged = text.replace("\"target\"", "\"targeted\"");
         let error = JobSpec::read(&damaged).unwrap_err();
         assert!(error.to_string().contains("missing field `target`"), "{error}");

@@ -211,6 +211,7 @@ async fn bad_powders_and_jobs_are_refused_by_field() {
         ("/v1/trainings", json!({ "order": "sideways" }), "order"),
         ("/v1/evaluations", json!({ "repeats": 0 }), "repeats"),
         ("/v1/evaluations", json!({ "particles": 499 }), "particles"),
+        ("/v1/evaluations", json!({ "substep_us": 9 }), "substep_us"),
         ("/v1/evaluations", json!({ "extensions": { "wind": 1.0 } }), "extensions.wind"),
     ] {
         let request = service.request("POST", path).bearer_auth(&token).json(&body);

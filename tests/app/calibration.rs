@@ -183,8 +183,33 @@ async fn requests_that_cannot_be_met_name_the_field_and_store_nothing() {
     let bare = CalibrationRequest { repose_deg: Some(30.0), ..Default::default() };
     assert_eq!(refused(CalibrationRequest { n: Some(0), ..bare.clone() }).await, "n");
     assert_eq!(refused(CalibrationRequest { sd_deg: Some(-1.0), ..bare.clone() }).await, "sd_deg");
-    assert_eq!(refused(CalibrationRequest { readings: Some(65), ..bare }).await, "readings");
+    assert_eq!(
+        refused(CalibrationRequest { readings: Some(65), ..bare.clone() }).await,
+        "readings"
+    );
+    let fixed = [("gravity_scale".to_owned(), 2.0)].into();
+    assert_eq!(refused(CalibrationRequest { fixed, ..bare }).await, "fixed.gravity_scale");
     assert!(app.jobs(None, None, PageQuery::default()).await.unwrap().items.is_empty());
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn gravity_that_is_fixed_is_that_of_every_set_and_another_calibration() {
+    let (_folder, app) = open(functions()).await;
+    let free = calibrated(&app, "sand").await;
+    let fixed = [("gravity_scale".to_owned(), 1.0)].into();
+    let (held, created) = app
+        .start_calibration(CalibrationRequest { fixed, ..calibration_of("sand", 1) })
+        .await
+        .unwrap();
+    assert!(created && held.id != free.id);
+    assert_eq!(ended(&app, &held.id).await.state, JobState::Succeeded);
+    let free = app.calibration(&free.id).await.unwrap();
+    let held = app.calibration(&held.id).await.unwrap();
+    assert!(free.settings.get("fixed").is_none());
+    assert_eq!(held.settings["fixed"]["gravity_scale"], 1.0);
+    let sets = held.result.unwrap().sets;
+    assert!(sets.len() == 3 && sets.iter().all(|set| set.parameters.gravity_scale() == 1.0));
     app.shutdown().await.unwrap();
 }
 

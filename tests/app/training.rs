@@ -13,7 +13,7 @@ use flip_core::domain::motion::{MotionLimits, Move};
 use flip_learn::train::evaluate::Dose;
 use flip_policy::{self as policy, Controller};
 use futures::StreamExt;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 async fn all_episodes(app: &App, id: &str) -> Vec<Episode> {
@@ -207,6 +207,47 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
     assert_eq!(ended(&app, &job.id).await.state, JobState::Succeeded);
     let weighing = app.start_weighing(mg("sand", 15.0), "after-the-comparison").await.unwrap().0;
     assert_eq!(weighing.policy, policy, "it errs by 0.25 mg, the shipped one by 0.5 mg");
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dose_is_simulated_at_the_substep_asked_for_and_is_then_no_evidence() {
+    let seen = Arc::new(Mutex::new(Vec::new()));
+    let kept = seen.clone();
+    let watched = Arc::new(move |task: &Task, simulation: &Simulation| {
+        kept.lock().unwrap().push(simulation.spoon.substep_s);
+        weigh(task, simulation)
+    });
+    let (_folder, app) = open(Functions { weigh: watched, ..functions() }).await;
+    calibrated(&app, "sand").await;
+    let usual = EvaluationRequest {
+        powders: Some(vec!["sand".into()]),
+        controllers: Some(vec!["paced".into()]),
+        repeats: Some(1),
+        max_shakes: Some(30),
+        ..Default::default()
+    };
+    let evaluated = async |substep_us| {
+        let (job, created) =
+            app.start_evaluation(EvaluationRequest { substep_us, ..usual.clone() }).await.unwrap();
+        assert_eq!(ended(&app, &job.id).await.state, JobState::Succeeded);
+        let substeps = std::mem::take(&mut *seen.lock().unwrap());
+        (app.evaluation(&job.id).await.unwrap().conditions.substep_us, substeps, created)
+    };
+    let evidence = async || app.policy(&flip_policy::shipped().id).await.unwrap().evaluated.len();
+    assert_eq!(evaluated(Some(20)).await, (Some(20), vec![20e-6; 2], true));
+    assert_eq!(evidence().await, 0, "another solver is not the bench of weighings");
+    assert_eq!(evaluated(None).await, (None, vec![80e-6; 2], true));
+    assert_eq!(evidence().await, 1);
+    assert_eq!(evaluated(Some(80)).await, (None, vec![], false), "the usual one is the same");
+    for wrong in [9, 161] {
+        let request = EvaluationRequest { substep_us: Some(wrong), ..usual.clone() };
+        let Err(Error::Invalid(fields)) = app.start_evaluation(request).await else {
+            panic!("{wrong} us were accepted");
+        };
+        assert_eq!(fields[0].field, "substep_us");
+        assert!(fields[0].message.contains("from 10 to 160 us"), "{fields:?}");
+    }
     app.shutdown().await.unwrap();
 }
 

@@ -73,6 +73,11 @@ fn a_heap_rests_and_a_tilted_bed_flows_when_it_should() {
 }
 
 #[test]
+fn a_dose_depends_on_the_substep_by_no_more_than_is_documented() {
+    expect(&["dose_free_flowing", "dose_frictional"]);
+}
+
+#[test]
 fn every_experiment_is_in_one_of_these_groups() {
     let source = include_str!("validation.rs");
     for experiment in experiments() {

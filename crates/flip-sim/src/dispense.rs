@@ -148,9 +148,7 @@ const REST_S: f64 = 0.02;
 impl Dispenser {
     /// Fills the level spoon and lets the powder rest (under a second of CPU; clone to reuse).
     pub fn new(set: &ParameterSet, settings: &Settings, seed: u64) -> Self {
-        let mut filled = Self::empty(set, settings);
-        filled.fill(seed);
-        filled
+        Self::empty(set, settings).filled(seed)
     }
 
     /// Creates a spoon without powder.
@@ -171,6 +169,17 @@ impl Dispenser {
             substeps: 0,
             camera: None,
         }
+    }
+
+    /// The same spoon under a modified law.
+    pub(super) fn revised(self, revise: fn(Law) -> Law) -> Self {
+        Self { law: revise(self.law), ..self }
+    }
+
+    /// Fills the level spoon and lets the powder rest.
+    pub(super) fn filled(mut self, seed: u64) -> Self {
+        self.fill(seed);
+        self
     }
 
     /// Puts these grains in the level spoon (centres and velocities in its frame) and lets them

@@ -53,6 +53,7 @@ impl calibrations_server::Calibrations for Service {
             observations: given(observations),
             verify_particles,
             simulator,
+            fixed: request.fixed.into_iter().collect(),
             conditions: conditions(request.conditions),
         };
         Ok(Response::new(self.app.start_calibration(request).await?.into()))

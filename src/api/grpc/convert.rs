@@ -192,6 +192,7 @@ same_fields! {
         particles: e.conditions.particles,
         extensions: e.conditions.amplitudes().into_iter().collect(),
         under: e.under.map(Into::into),
+        substep_us: e.conditions.substep_us,
     }
     r: app::EvaluationResult => EvaluationResult {} {
         rows: all(r.rows),

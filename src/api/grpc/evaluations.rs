@@ -24,6 +24,7 @@ impl evaluations_server::Evaluations for Service {
             particles: asked.particles,
             extensions: asked.extensions.into_iter().collect(),
             as_calibrated: asked.as_calibrated,
+            substep_us: asked.substep_us,
             spoon: spoon(asked.spoon),
             seed: asked.seed,
             simulator: asked.simulator,

@@ -4,6 +4,7 @@ use super::{Day, Flowability, Job, Observation, ParameterSetValues, Under};
 use crate::app;
 use flip_core::domain::parameters::COUNT;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Comparison of a calibration's sets with an observation.
@@ -235,6 +236,10 @@ pub struct CalibrationRequest {
     /// Grains per verification heap, 100 to 100000; default as many as in the other heaps. Not for
     /// the method `sequential`.
     pub verify_particles: Option<u32>,
+    /// Parameters held at a value instead of searched, by key, as `{"gravity_scale": 1}`; default
+    /// none: all nine are searched.
+    #[serde(default)]
+    pub fixed: BTreeMap<String, f64>,
     /// Extended simulator version, `sv-…`; default the base.
     #[serde(default)]
     pub simulator: Option<String>,
@@ -247,7 +252,7 @@ pub struct CalibrationRequest {
 
 request! { CalibrationRequest => app::CalibrationRequest {
     powder, repose_deg, sd_deg, n, method, sets, tolerance_deg, particles, trials_max,
-    verify_repeats, readings, seed, observations, verify_particles, simulator, conditions,
+    verify_repeats, readings, seed, observations, verify_particles, fixed, simulator, conditions,
 } }
 
 /// A calibration: its job, its target, and its result once it has succeeded.
@@ -356,8 +361,8 @@ pub struct Marginal {
     pub mean: f64,
     /// 16 % and 84 % quantile.
     pub interval: [f64; 2],
-    /// 1 - posterior variance / prior variance: 0 if nothing was learned. Negative if the posterior
-    /// concentrates at both ends.
+    /// 1 - posterior variance / prior variance: 0 if nothing was learned, as of a fixed parameter.
+    /// Negative if the posterior concentrates at both ends.
     pub learnt: f64,
     /// Whether none of the measurements depends on it.
     pub inert: bool,

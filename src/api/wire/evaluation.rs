@@ -47,6 +47,10 @@ pub struct EvaluationRequest {
     /// the simulator.
     #[serde(default)]
     pub as_calibrated: bool,
+    /// Substep of the simulator, 10 to 160 us; default 80. Half of it takes twice as long. Errors at
+    /// another than the usual substep do not count for which policy weighs best.
+    #[serde(default)]
+    pub substep_us: Option<u32>,
     /// The spoon used for dosing; default FLIP's own, which holds about 40 mg.
     #[serde(default)]
     pub spoon: Option<Spoon>,
@@ -63,7 +67,7 @@ pub struct EvaluationRequest {
 
 request! { EvaluationRequest => app::EvaluationRequest {
     policy, controllers, powders, targets_mg, repeats, readability_mg, max_shakes, particles,
-    extensions, as_calibrated, spoon, seed, simulator, conditions,
+    extensions, as_calibrated, substep_us, spoon, seed, simulator, conditions,
 } }
 
 /// An evaluation: its job, its settings, and the errors once it has succeeded.

@@ -21,9 +21,12 @@ pub struct Conditions {
     /// The spoon; absent: FLIP's own.
     #[serde(default, skip_serializing_if = "is_default")]
     pub spoon: Spoon,
+    /// Substep of the solver, us; absent: the usual 80.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub substep_us: Option<u32>,
 }
 
-answer! { app::Conditions => Conditions { particles, extensions, shake, spoon } }
+answer! { app::Conditions => Conditions { particles, extensions, shake, spoon, substep_us } }
 
 /// Rows whose angles are to be predicted.
 #[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]

@@ -22,7 +22,7 @@ use super::acquisition::probability_within;
 use super::channel::Knowledge;
 use super::emulator::{Emulator, share};
 use super::settings::Settings;
-use super::space::{self, Point};
+use super::space::{Point, Space};
 use super::trial::{Outcome, Phase, Planned, Shortfall, Trial};
 use super::verify::{candidates_of, verdict, verified};
 use flip_core::domain::parameters::{COUNT, PARAMETERS, ParameterSet};
@@ -57,6 +57,7 @@ pub(super) fn plan(
     trials: &[Trial],
     target: &Flowability,
     settings: &Settings,
+    space: &Space,
     knowledge: &Knowledge<'_>,
 ) -> Vec<Planned> {
     let left = (settings.trials_max as usize).saturating_sub(trials.len());
@@ -82,8 +83,8 @@ pub(super) fn plan(
         });
         runs.collect()
     };
-    let pool = pool(settings.seed);
-    if let Some(nearest) = beyond_reach(&emulator, target, settings, &pool) {
+    let pool = pool(settings.seed, space);
+    if let Some(nearest) = beyond_reach(&emulator, target, settings, space, &pool) {
         // Verify only once: the verification is the answer. Pilots were verified before this was
         // known.
         let pilots = if settings.verify_particles.is_some() { PILOTS } else { 0 };
@@ -122,12 +123,13 @@ pub(super) fn shortfall(
     trials: &[Trial],
     target: &Flowability,
     settings: &Settings,
+    space: &Space,
     emulator: &Emulator,
 ) -> Option<Shortfall> {
     let shift = size_shift(trials, settings, emulator);
     let aim = in_emulator_heaps(target, shift);
     let emulator = grown(trials, settings, emulator);
-    match beyond_reach(&emulator, &aim, settings, &pool(settings.seed)) {
+    match beyond_reach(&emulator, &aim, settings, space, &pool(settings.seed, space)) {
         Some(nearest) => {
             let verdicts = candidates_of(trials)
                 .into_iter()
@@ -137,7 +139,7 @@ pub(super) fn shortfall(
             let expected = emulator.mean_deg(&nearest) + shift.unwrap_or(0.0);
             Some(Shortfall {
                 nearest_repose_deg: measured.map_or(expected, |set| set.repose_deg),
-                limiting_parameter: limiting(&emulator, &nearest, &aim).map(str::to_owned),
+                limiting_parameter: limiting(&emulator, &nearest, &aim, space).map(str::to_owned),
             })
         }
         None => super::nearest(trials)
@@ -178,9 +180,9 @@ fn grown(trials: &[Trial], settings: &Settings, emulator: &Emulator) -> Emulator
     emulator.with(&moved.collect::<Vec<_>>())
 }
 
-fn pool(seed: u64) -> Vec<ParameterSet> {
+fn pool(seed: u64, space: &Space) -> Vec<ParameterSet> {
     let mut rng = Pcg64::seed_from_u64(derive(seed, &[POINTS]));
-    latin_hypercube(POOL, &mut rng).iter().map(space::parameters_at).collect()
+    latin_hypercube(POOL, &mut rng).iter().map(|point| space.parameters_at(point)).collect()
 }
 
 /// A point and the emulator's prediction for it.
@@ -262,6 +264,7 @@ fn beyond_reach(
     emulator: &Emulator,
     target: &Flowability,
     settings: &Settings,
+    space: &Space,
     pool: &[ParameterSet],
 ) -> Option<ParameterSet> {
     let miss = |set: &ParameterSet| (emulator.mean_deg(set) - target.repose_deg).abs();
@@ -275,11 +278,11 @@ fn beyond_reach(
     let mut step = 0.5;
     for _ in 0..WALK {
         let before = least;
-        for j in 0..COUNT {
+        for j in (0..COUNT).filter(|j| !space.holds(*j)) {
             for sign in [-1.0, 1.0] {
                 let mut moved = at;
                 moved[j] = (moved[j] + sign * step).clamp(0.0, 1.0);
-                let there = miss(&space::parameters_at(&moved));
+                let there = miss(&space.parameters_at(&moved));
                 if there < least {
                     (least, at) = (there, moved);
                 }
@@ -295,21 +298,26 @@ fn beyond_reach(
             break;
         }
     }
-    Some(space::parameters_at(&at))
+    Some(space.parameters_at(&at))
 }
 
 /// The parameter at a bound of the box that would bring the angle of `set` nearest to the target if
 /// the bound were relaxed: the one with the steepest slope into its bound, from a difference over a
 /// twentieth of its range.
-fn limiting(emulator: &Emulator, set: &ParameterSet, target: &Flowability) -> Option<&'static str> {
+fn limiting(
+    emulator: &Emulator,
+    set: &ParameterSet,
+    target: &Flowability,
+    space: &Space,
+) -> Option<&'static str> {
     let at = set.to_unit();
     let here = emulator.mean_deg(set);
     let towards = (target.repose_deg - here).signum();
     let slope = |k: usize| {
-        let at_bound = at[k] < 0.02 || at[k] > 0.98;
+        let at_bound = (at[k] < 0.02 || at[k] > 0.98) && !space.holds(k);
         let mut inward = at;
         inward[k] += if at[k] < 0.5 { 0.05 } else { -0.05 };
-        let gained = towards * (here - emulator.mean_deg(&space::parameters_at(&inward)));
+        let gained = towards * (here - emulator.mean_deg(&space.parameters_at(&inward)));
         if at_bound { gained } else { 0.0 }
     };
     let steepest = (0..COUNT).map(|k| (slope(k), k)).max_by(|a, b| a.0.total_cmp(&b.0))?;

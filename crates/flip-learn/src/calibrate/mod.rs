@@ -38,6 +38,8 @@ mod channel_tests;
 #[cfg(test)]
 mod emulator_tests;
 #[cfg(test)]
+mod fixed_tests;
+#[cfg(test)]
 mod tests;
 
 pub use acquisition::{expected_improvement, probability_within};
@@ -45,6 +47,7 @@ pub use amortised::in_emulator_heaps;
 pub use channel::{Channel, Instrument, Knowledge, Probe};
 pub use emulator::{DIRECTIONS, Design, Directions, Emulator, build};
 pub use settings::{Method, Settings};
+pub use space::Space;
 pub use trial::{CalibratedSet, Calibration, Heap, Outcome, Phase, Pour, Shortfall, Trial};
 
 use flip_core::domain::FieldError;
@@ -147,14 +150,15 @@ pub fn calibrate(
     mut on_trial: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
 ) -> Result<Calibration, Error> {
     let settings = settings.clone().checked()?;
+    let space = settings.space()?;
     let target = Flowability::new(target.repose_deg, target.sd_deg, target.n)?;
     let mut trials: Vec<Trial> = Vec::new();
     loop {
         let round = match (settings.method, &knowledge) {
-            (Method::Sequential, _) => plan(&trials, &target, &settings),
-            (Method::Paper, _) => paper::plan(&trials, &settings),
+            (Method::Sequential, _) => plan(&trials, &target, &settings, &space),
+            (Method::Paper, _) => paper::plan(&trials, &settings, &space),
             (Method::Emulator, Some(knowledge)) => {
-                amortised::plan(&trials, &target, &settings, knowledge)
+                amortised::plan(&trials, &target, &settings, &space, knowledge)
             }
             (Method::Emulator, None) => return Err(Error::NoEmulator),
         };
@@ -208,7 +212,12 @@ fn replay(
 }
 
 /// Plans the sequential method's next simulations; empty when the calibration is over.
-fn plan(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<Planned> {
+fn plan(
+    trials: &[Trial],
+    target: &Flowability,
+    settings: &Settings,
+    space: &Space,
+) -> Vec<Planned> {
     let left = (settings.trials_max as usize).saturating_sub(trials.len());
     let sets = verify::verified(trials, target, settings);
     let wanted = (settings.sets as usize).saturating_sub(sets.len());
@@ -220,7 +229,7 @@ fn plan(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<Plan
         let indexed = (trials.len() as u32..).zip(points);
         indexed
             .map(|(index, point)| {
-                Planned::search(index, space::parameters_at(&point), settings.seed)
+                Planned::search(index, space.parameters_at(&point), settings.seed)
             })
             .collect()
     };
@@ -241,7 +250,7 @@ fn plan(trials: &[Trial], target: &Flowability, settings: &Settings) -> Vec<Plan
     let points: Vec<space::Point> = sets.iter().map(|s| s.parameters.to_unit()).collect();
     let chosen = verify::choose(candidates, points.clone(), affordable, &belief, settings);
     if chosen.is_empty() {
-        return search(propose::propose(belief, trials, points, settings, batch, &mut rng));
+        return search(propose::propose(belief, trials, points, settings, space, batch, &mut rng));
     }
     let runs = chosen
         .into_iter()
@@ -265,7 +274,7 @@ fn conclude(
     }
     let shortfall = match (settings.method, emulator) {
         (Method::Emulator, Some(emulator)) => {
-            amortised::shortfall(trials, target, settings, emulator)
+            amortised::shortfall(trials, target, settings, &settings.space()?, emulator)
         }
         (Method::Paper, _) => nearest(trials)
             .map(|nearest_repose_deg| Shortfall { nearest_repose_deg, limiting_parameter: None }),

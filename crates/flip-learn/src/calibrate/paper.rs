@@ -19,7 +19,7 @@
 //! expected improvement on the least error, over a pool within the bounds.
 
 use super::settings::Settings;
-use super::space::{self, Point};
+use super::space::{Point, Space};
 use super::trial::{CalibratedSet, Phase, Planned, Trial};
 use super::verify::verdict;
 use flip_core::domain::parameters::COUNT;
@@ -41,12 +41,12 @@ const BEST: f64 = 0.1;
 const POOL: usize = 2000;
 
 /// Plans the next simulations; empty when the calibration is over.
-pub(super) fn plan(trials: &[Trial], settings: &Settings) -> Vec<Planned> {
+pub(super) fn plan(trials: &[Trial], settings: &Settings, space: &Space) -> Vec<Planned> {
     if trials.iter().any(|trial| trial.phase == Phase::Verification) {
         return Vec::new();
     }
     if let Some(state) = State::after(trials, settings) {
-        return state.next(trials, settings).into_iter().collect();
+        return state.next(trials, settings, space).into_iter().collect();
     }
     let kept = kept(trials, settings).into_iter();
     let runs = kept.flat_map(|trial| {
@@ -115,7 +115,7 @@ impl State {
         (!over).then_some(Self { bounds })
     }
 
-    fn next(&self, trials: &[Trial], settings: &Settings) -> Option<Planned> {
+    fn next(&self, trials: &[Trial], settings: &Settings, space: &Space) -> Option<Planned> {
         let index = trials.len() as u32;
         let initial = settings.initial.min(settings.trials_max) as usize;
         let point = match trials.get(..initial) {
@@ -123,19 +123,19 @@ impl State {
                 let mut rng = Pcg64::seed_from_u64(derive(settings.seed, &[super::PROPOSALS]));
                 *maximin_latin_hypercube(initial, 50, &mut rng).get(trials.len())?
             }
-            Some(_) => self.most_promising(trials, settings),
+            Some(_) => self.most_promising(trials, settings, space),
         };
-        Some(Planned::search(index, space::parameters_at(&point), settings.seed))
+        Some(Planned::search(index, space.parameters_at(&point), settings.seed))
     }
 
     /// The point with the largest expected improvement within the bounds.
-    fn most_promising(&self, trials: &[Trial], settings: &Settings) -> Point {
+    fn most_promising(&self, trials: &[Trial], settings: &Settings, space: &Space) -> Point {
         let mut rng =
             Pcg64::seed_from_u64(derive(settings.seed, &[super::PROPOSALS, trials.len() as u64]));
         let within = |point: Point| {
-            std::array::from_fn(|k| {
+            space.project(std::array::from_fn(|k| {
                 self.bounds[k][0] + point[k] * (self.bounds[k][1] - self.bounds[k][0])
-            })
+            }))
         };
         let pool: Vec<Point> = latin_hypercube(POOL, &mut rng).into_iter().map(within).collect();
         let seen = ranked(trials);

@@ -1,6 +1,7 @@
 //! What a measured angle reveals about the nine parameters, and what it leaves open.
 //!
-//! Prior: uniform over the published box. With m, s, n the measured mean, SD and number of repeats,
+//! Prior: uniform over the published box, or over the slice of it in which some parameters are
+//! fixed. With m, s, n the measured mean, SD and number of repeats,
 //! and f(theta) the mean angle of a simulated heap, which the emulator predicts as N(mu(theta),
 //! sd(theta)^2):
 //!
@@ -21,7 +22,7 @@
 //! known only jointly.
 
 use super::channel::{Channel, Knowledge};
-use super::space::{self, Point};
+use super::space::{Point, Space};
 use flip_core::domain::observable::Observation;
 use flip_core::domain::parameters::{COUNT, PARAMETERS, ParameterSet};
 use flip_core::domain::powder::Flowability;
@@ -66,8 +67,8 @@ pub struct Marginal {
     pub mean: f64,
     /// 16 % and 84 % quantile.
     pub interval: [f64; 2],
-    /// 1 - posterior variance / prior variance: 0 if nothing was learned. Negative if the posterior
-    /// concentrates at both ends.
+    /// 1 - posterior variance / prior variance: 0 if nothing was learned, as of a fixed parameter.
+    /// Negative if the posterior concentrates at both ends.
     pub learnt: f64,
     /// Whether none of the measurements depends on it.
     pub inert: bool,
@@ -83,9 +84,20 @@ pub struct Pair {
 }
 
 impl Posterior {
-    /// Draws `count` points given a measured angle and the other measurements.
+    /// Draws `count` points of the box given a measured angle and the other measurements.
     pub fn of(knowledge: Knowledge<'_>, measured: &Flowability, count: usize, seed: u64) -> Self {
         Prior::of(knowledge, seed).given(measured, count)
+    }
+
+    /// The same within a slice of the box.
+    pub fn within(
+        space: Space,
+        knowledge: Knowledge<'_>,
+        measured: &Flowability,
+        count: usize,
+        seed: u64,
+    ) -> Self {
+        Prior::within(space, knowledge, seed).given(measured, count)
     }
 }
 
@@ -93,6 +105,7 @@ impl Posterior {
 /// so the emulator is evaluated once.
 #[derive(Debug)]
 pub struct Prior<'a> {
+    space: Space,
     knowledge: Knowledge<'a>,
     points: Vec<Known>,
     rng: Pcg64,
@@ -111,8 +124,13 @@ struct Known {
 }
 
 impl<'a> Prior<'a> {
-    /// Builds the pool for this seed.
+    /// Builds the pool for this seed, in all of the box.
     pub fn of(knowledge: Knowledge<'a>, seed: u64) -> Self {
+        Self::within(Space::default(), knowledge, seed)
+    }
+
+    /// Builds the pool for this seed, within a slice of the box.
+    pub fn within(space: Space, knowledge: Knowledge<'a>, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(derive(seed, &[POINTS]));
         let points: Vec<Point> = latin_hypercube(POOL, &mut rng);
         let pool: Vec<(usize, Point, f64)> = points
@@ -121,7 +139,7 @@ impl<'a> Prior<'a> {
             .map(|(k, point)| (k, point, normal(rng.random())))
             .collect();
         let know = |(k, point, z): (usize, Point, f64)| {
-            let set = space::parameters_at(&point);
+            let set = space.parameters_at(&point);
             let at = knowledge.emulator.expect(&set).mean;
             let drawn = |c: usize| {
                 normal(
@@ -136,7 +154,13 @@ impl<'a> Prior<'a> {
                 .map(|(c, channel)| likelihood(channel, &set, drawn(c)));
             Known { set, mean: at.mean, sd: at.sd, z, others: others.sum() }
         };
-        Self { knowledge, points: pool.into_par_iter().map(know).collect(), rng }
+        Self { space, knowledge, points: pool.into_par_iter().map(know).collect(), rng }
+    }
+
+    /// Of a fixed parameter nothing was learnt: its value was given.
+    fn marginal(&self, k: usize, draws: &[[f64; COUNT]]) -> Marginal {
+        let found = marginal(k, draws, &self.knowledge);
+        if self.space.holds(k) { Marginal { learnt: 0.0, ..found } } else { found }
     }
 
     /// Draws `count` points given a measurement.
@@ -151,7 +175,7 @@ impl<'a> Prior<'a> {
         let draws: Vec<[f64; COUNT]> = drawn.iter().map(|k| self.points[*k].set.values()).collect();
         Posterior {
             repose_deg: drawn.iter().map(|k| weighed[*k].0).collect(),
-            parameters: (0..COUNT).map(|k| marginal(k, &draws, &self.knowledge)).collect(),
+            parameters: (0..COUNT).map(|k| self.marginal(k, &draws)).collect(),
             together: together(&draws),
             effective: sum * sum / squares,
             draws,

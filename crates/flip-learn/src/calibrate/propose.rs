@@ -2,7 +2,7 @@
 
 use super::acquisition::{expected_improvement, probability_within};
 use super::settings::Settings;
-use super::space::Point;
+use super::space::{Point, Space};
 use super::trial::Trial;
 use flip_core::domain::parameters::COUNT;
 use flip_core::stats::gaussian_process::evidence::Prior;
@@ -95,6 +95,7 @@ pub(super) fn propose(
     trials: &[Trial],
     mut taken: Vec<Point>,
     settings: &Settings,
+    space: &Space,
     count: usize,
     rng: &mut impl Rng,
 ) -> Vec<Point> {
@@ -102,7 +103,7 @@ pub(super) fn propose(
     let incumbent = least.max(settings.tolerance_deg);
     (0..count)
         .map(|_| {
-            let best = most_worth(&belief, incumbent, &taken, rng);
+            let best = most_worth(&belief, space, incumbent, &taken, rng);
             belief.angle = belief.angle.believe(&best);
             taken.push(best);
             best
@@ -113,8 +114,15 @@ pub(super) fn propose(
 /// The most valuable point in a random pool, then in shrinking boxes around the best so far. If all
 /// values are zero to within rounding (a target far out of reach), the point expected nearest to
 /// the target.
-fn most_worth(belief: &Belief, incumbent_deg: f64, taken: &[Point], rng: &mut impl Rng) -> Point {
+fn most_worth(
+    belief: &Belief,
+    space: &Space,
+    incumbent_deg: f64,
+    taken: &[Point],
+    rng: &mut impl Rng,
+) -> Point {
     let rated = |point: Point| {
+        let point = space.project(point);
         let worth = belief.worth(&point, incumbent_deg, taken);
         (point, worth, -belief.expected_error_deg(&point))
     };

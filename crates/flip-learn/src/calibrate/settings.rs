@@ -1,8 +1,10 @@
 //! Settings of a calibration.
 
+use super::space::Space;
 use super::trial::Phase;
 use flip_core::domain::{FieldError, bounded};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// How parameter sets are searched for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -76,6 +78,10 @@ pub struct Settings {
     /// the method `sequential`, whose own process would mix up the two sizes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub verify_particles: Option<u32>,
+    /// Parameters that are not searched, by key with the value at which they are held, each within
+    /// its published bounds. Default none: all nine are searched.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub fixed: BTreeMap<String, f64>,
 }
 
 impl Default for Settings {
@@ -94,6 +100,7 @@ impl Default for Settings {
             seed: 1,
             particles: 2000,
             verify_particles: None,
+            fixed: BTreeMap::new(),
         }
     }
 }
@@ -133,6 +140,14 @@ impl Settings {
         }
     }
 
+    /// The searched part of the box.
+    ///
+    /// # Errors
+    /// As [`Space::of`].
+    pub fn space(&self) -> Result<Space, FieldError> {
+        Space::of(&self.fixed)
+    }
+
     /// Validates the settings.
     ///
     /// # Errors
@@ -156,6 +171,7 @@ impl Settings {
         bounded("accept_deg", self.accept_deg, 0.1, 10.0, "deg")?;
         count("stagnation", self.stagnation, 1, 1000)?;
         count("particles", self.particles, 100, 100_000)?;
+        self.space()?;
         if let Some(particles) = self.verify_particles {
             count("verify_particles", particles, 100, 100_000)?;
             if self.method == Method::Sequential {
