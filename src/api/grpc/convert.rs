@@ -348,7 +348,7 @@ fn json(plain: &impl serde::Serialize) -> String {
     serde_json::to_string(plain).unwrap_or_default()
 }
 
-fn bench_kind(kind: BenchKind) -> String {
+pub(super) fn bench_kind(kind: BenchKind) -> String {
     let name = match kind {
         BenchKind::Simulated => "simulated",
         BenchKind::Emulated => "emulated",
