@@ -82,7 +82,8 @@ async fn the_shakes_of_a_weighing_are_those_of_its_trace() {
     let first: Value = service.get("/v1/shakes?limit=1").await.json().await.unwrap();
     let next = first["next"].as_str().unwrap();
     let second = listed(&service, &format!("?limit=1&after={next}")).await;
-    assert_eq!(names(first["items"].as_array().unwrap()), [done["weighing"]["id"]]);
+    let id = done["weighing"]["id"].as_str().unwrap();
+    assert_eq!(names(first["items"].as_array().unwrap()), [id]);
     assert!(second.len() == 1 && second[0]["spoonful"]["lot"].is_null(), "{second:?}");
     assert!(listed(&service, "?bench=devices").await.is_empty());
     problem(service.get("/v1/shakes?bench=dreamt").await, 400).await;
