@@ -5,6 +5,7 @@ use crate::investigations::as_operator;
 use crate::toy::Bench;
 use flip::api::grpc::proto;
 use flip::api::grpc::proto::shakes_client::ShakesClient;
+use flip::api::grpc::proto::weighings_client::WeighingsClient;
 use flip::app::Role;
 use flip_bench::emulate::lab::Settings as LaboratorySettings;
 use flip_bench::hardware::DeviceError;
@@ -258,7 +259,14 @@ async fn grpc_lists_imports_and_forgets_the_same() {
     assert_eq!(refused.code(), Code::Unauthenticated);
     let request = as_operator(&service, request).await;
     assert_eq!(client.import_shakes(request).await.unwrap().into_inner().shakes, 1);
-    weighed(&service, "one", Some("L1")).await;
+    let done = weighed(&service, "one", Some("L1")).await;
+    let mut weighings = WeighingsClient::connect(service.url("")).await.unwrap();
+    let id = done["weighing"]["id"].as_str().unwrap().to_owned();
+    let found = weighings.get_weighing(proto::GetWeighingRequest { id }).await.unwrap();
+    let apparatus = found.into_inner().weighing.unwrap().apparatus.unwrap();
+    let rest = &done["weighing"]["apparatus"];
+    assert_eq!(json!(apparatus.readability_mg), rest["readability_mg"]);
+    assert_eq!(json!(apparatus.capacity_mg), rest["capacity_mg"]);
     let list = |bench: &str| proto::ListShakesRequest {
         lot: Some("L1".to_owned()),
         bench: Some(bench.to_owned()),
