@@ -1,14 +1,13 @@
 //! Measurements of a powder: its angle of repose, and the results of other experiments.
 
 use super::check::Check;
-use super::measurement_csv::{self, Entry, Value};
-use super::nearest::did_you_mean;
+use super::file_powders::FilePowders;
+use super::measurement_csv::{self, Value};
 use super::stored_before::StoredBefore;
 use super::{App, Result};
 use flip_core::domain::FieldError;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::powder::{Flowability, HeapReadings, Method};
-use flip_core::domain::powder_name::same_name;
 use flip_discover::reading::NamedPowder;
 use flip_store::artifacts::sha256_hex;
 use flip_store::now;
@@ -18,7 +17,6 @@ use flip_store::powders::Measurement;
 use flip_store::said::{Row, RowOf};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use std::collections::HashSet;
 
 /// A measurement to register, in exactly one of three forms.
 ///
@@ -194,64 +192,6 @@ impl NewObservation {
     }
 }
 
-/// How a powder in a file relates to the registered powders.
-enum Registered {
-    /// It is this one.
-    As(String),
-    /// It is not registered.
-    Not,
-    /// Its id belongs to a powder with this different name.
-    Another(String),
-}
-
-/// Which of the `known` powders, id and name, has this id, or this name if the file gives one.
-fn registered(known: &[(String, String)], id: &str, name: Option<&str>) -> Registered {
-    let of_id = known.iter().find(|(known, _)| known == id);
-    let Some(name) = name else {
-        return of_id.map_or(Registered::Not, |(id, _)| Registered::As(id.clone()));
-    };
-    let is_same =
-        |(id, known): &&(String, String)| same_name(known) == same_name(name) || known == id;
-    // A powder that was registered by its id alone has no name of its own.
-    let of_name = known.iter().find(|(_, known)| same_name(known) == same_name(name));
-    match (of_id.filter(is_same).or(of_name), of_id) {
-        (Some((id, _)), _) => Registered::As(id.clone()),
-        (None, Some((_, other))) => Registered::Another(other.clone()),
-        (None, None) => Registered::Not,
-    }
-}
-
-/// Powders in the order of the file, each with the first row that names it.
-fn first_rows(entries: &[Entry]) -> Vec<(String, usize)> {
-    let mut seen = HashSet::new();
-    let first = entries.iter().filter(|entry| seen.insert(entry.powder.as_str()));
-    first.map(|entry| (entry.powder.clone(), entry.row)).collect()
-}
-
-/// Replaces the id derived from a powder's name by the id under which the powder is registered.
-fn renamed(entries: &mut [Entry], named: &mut [NamedPowder], made: &str, id: &str) {
-    entries
-        .iter_mut()
-        .filter(|entry| entry.powder == made)
-        .for_each(|entry| id.clone_into(&mut entry.powder));
-    named
-        .iter_mut()
-        .filter(|powder| powder.id == made)
-        .for_each(|powder| id.clone_into(&mut powder.id));
-}
-
-fn unknown(known: &[(String, String)], id: &str, name: Option<&str>) -> String {
-    let called = name.map_or_else(String::new, |name| format!(" and none called `{name}`"));
-    let ids = did_you_mean(id, known.iter().map(|(id, _)| id.as_str()));
-    let meant = match name {
-        Some(name) if ids.is_empty() => {
-            did_you_mean(name, known.iter().map(|(_, name)| name.as_str()))
-        }
-        _ => ids,
-    };
-    format!("there is no powder `{id}`{called}{meant}: register it first, or import with `create`")
-}
-
 impl App {
     /// Measurements of a powder, oldest first.
     pub async fn measurements(&self, powder: &str, page: PageQuery) -> Result<Page<Measurement>> {
@@ -286,39 +226,16 @@ impl App {
     pub async fn import_measurements(&self, csv: &str, create: bool) -> Result<Imported> {
         let (mut entries, names) = measurement_csv::read(csv)?;
         let known = self.store().powder_names().await?;
-        let (mut check, mut new, mut named) = (Check::default(), Vec::new(), names.named());
-        for (made, row) in first_rows(&entries) {
-            let name = names.name_of(&made);
-            match registered(&known, &made, name) {
-                Registered::As(id) => renamed(&mut entries, &mut named, &made, &id),
-                Registered::Not if create => {
-                    new.push((made.clone(), name.unwrap_or(&made).to_owned()))
-                }
-                Registered::Not => {
-                    check.refuse(&format!("row[{row}].powder"), unknown(&known, &made, name))
-                }
-                Registered::Another(other) => {
-                    let advice = format!(
-                        "gives the id {made}, which belongs to `{other}`: write the id if it is that powder"
-                    );
-                    check.refuse(&format!("row[{row}].powder"), advice);
-                }
-            }
-        }
-        check.done()?;
+        let of_rows = entries.iter().map(|entry| (entry.powder.as_str(), entry.row));
+        let powders = FilePowders::find(of_rows, &names, &known, create)?;
+        entries.iter_mut().for_each(|entry| powders.rename(&mut entry.powder));
         let mut tx = self.store().write().await?;
-        let mut rows = Vec::new();
-        for (id, name) in &new {
-            if let Some(created_at) = tx.insert_powder(id, name, None).await? {
-                let powder = json!({ "id": id, "name": name, "created_at": created_at });
-                rows.push(Row::of(RowOf::Powder, id, &powder));
-            }
-        }
+        let mut rows = powders.register(&mut tx).await?;
         // Other imports wait for this transaction, so what is stored now is complete.
         let mut before = StoredBefore::of(&self.measured(None).await?);
         let left_out = entries.extract_if(.., |entry| before.has(entry)).count();
-        let powders = new.into_iter().map(|(id, _)| id).collect();
         let (measurements, observations) = (Vec::new(), Vec::new());
+        let (named, powders) = (powders.named.clone(), powders.new_ids());
         let mut imported =
             Imported { powders, named, measurements, observations, already_stored: left_out };
         for entry in &entries {

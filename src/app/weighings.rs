@@ -255,7 +255,7 @@ impl App {
         Ok(WeighingDetail { weighing: row.weighing, ticks, trace_lost })
     }
 
-    fn stored_ticks(&self, trace: &str) -> Result<Vec<Tick>> {
+    pub(super) fn stored_ticks(&self, trace: &str) -> Result<Vec<Tick>> {
         let bytes =
             self.store().artifacts().get(trace).map_err(|error| Error::of_part(TRACE, error))?;
         // Its hash is correct, so it was written like this.

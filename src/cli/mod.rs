@@ -30,6 +30,7 @@ mod policy;
 mod repose;
 mod serve;
 mod session;
+mod shakes;
 mod simulator;
 mod table;
 mod token;
@@ -103,6 +104,8 @@ enum Command {
     Measure(measure::Arguments),
     /// Import and export measurements as CSV; compare those by camera with those by hand.
     Measurements(measurements::Arguments),
+    /// List, export, import and forget what spoons let fall, shake by shake.
+    Shakes(shakes::Arguments),
     /// Compare two calibrations.
     Compare(compare::Arguments),
     /// Learn to weigh on simulated powders.
@@ -182,6 +185,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Calibrate(arguments) => calibrate::run(common, arguments),
         Command::Measure(arguments) => measure::run(common, arguments),
         Command::Measurements(arguments) => measurements::run(common, arguments),
+        Command::Shakes(arguments) => shakes::run(common, arguments),
         Command::Train(arguments) => train::run(common, arguments),
         Command::Evaluate(arguments) => evaluate::run(common, arguments),
         Command::Policy(arguments) => policy::run(common, arguments),

@@ -299,6 +299,7 @@ async fn health_and_reflection_know_every_service() {
         "Evaluations",
         "Investigations",
         "Simulators",
+        "Shakes",
         "Weighings",
         "Bench",
         "ReposeMeasurements",

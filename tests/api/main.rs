@@ -15,6 +15,7 @@ mod protocol;
 mod record;
 mod refusals;
 mod repose;
+mod shakes;
 mod simulators;
 mod stop;
 mod tls;

@@ -160,6 +160,8 @@ async fn things_that_do_not_exist_are_not_found() {
         "powders/none/observations",
         "parameter-sets/none",
         "parameter-sets?powder=none",
+        "shakes?powder=none",
+        "shakes.csv?powder=none",
         "calibrations/none",
         "calibrations/none/trials",
         "calibrations/none/posterior",

@@ -105,6 +105,7 @@ impl Rig for Bench {
             shakes: 2,
             seconds: 1.4,
             ticks,
+            stroke: None,
             error: None,
             must_look: None,
         }

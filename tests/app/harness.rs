@@ -139,6 +139,7 @@ pub fn pour(pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Pour
         shakes: 2,
         seconds: 2.0,
         ticks,
+        stroke: None,
         error: None,
         must_look: None,
     }

@@ -3,7 +3,7 @@
 use crate::harness::{document, expect_status, flip, stderr};
 use serde_json::Value;
 
-const COMMANDS: [&str; 22] = [
+const COMMANDS: [&str; 23] = [
     "serve",
     "demo",
     "repose",
@@ -13,6 +13,7 @@ const COMMANDS: [&str; 22] = [
     "compare",
     "observe",
     "measurements",
+    "shakes",
     "train",
     "evaluate",
     "discover",

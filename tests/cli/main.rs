@@ -11,6 +11,7 @@ mod measurements;
 mod policy;
 mod repose;
 mod serve;
+mod shakes;
 mod token;
 mod train;
 mod validate;

@@ -33,6 +33,7 @@ mod row;
 pub mod said;
 pub mod simulators;
 mod sound;
+pub mod spoonfuls;
 mod stock;
 pub mod tokens;
 mod trail;

@@ -1,5 +1,5 @@
-//! Compares rows other than weighings with the record: tokens, powders, their measurements, checks
-//! of the bench, whether it is latched or held, and the current simulator.
+//! Compares rows other than weighings with the record: tokens, powders, their measurements,
+//! imported spoonfuls, checks of the bench, whether it is latched or held, and the current simulator.
 //!
 //! The record of an action holds the row it made; records of kind `rows` hold rows whose action
 //! made many, or none. The compared fields are listed in [`row_says`]; a field that no record
@@ -36,6 +36,10 @@ pub enum RowOf {
     Simulator,
     /// A calibrated set, whose id derives from its values.
     ParameterSet,
+    /// A spoonful that was imported.
+    Spoonful,
+    /// Up to when shakes of a powder are forgotten.
+    Forgotten,
     /// The mark that a stock-taking of rows without a record was done, and when.
     Stock,
 }
@@ -53,6 +57,8 @@ impl RowOf {
             Self::Hold => "hold",
             Self::Simulator => "simulator",
             Self::ParameterSet => "parameter_set",
+            Self::Spoonful => "spoonful",
+            Self::Forgotten => "forgotten",
             Self::Stock => "stock",
         }
     }
@@ -97,7 +103,7 @@ pub(super) struct Said {
 }
 
 /// All types with a table to compare with, and the table.
-const TABLES: [(RowOf, &str); 10] = [
+const TABLES: [(RowOf, &str); 12] = [
     (RowOf::Token, "SELECT * FROM token ORDER BY seq"),
     (RowOf::Powder, "SELECT * FROM powder ORDER BY seq"),
     (RowOf::Measurement, "SELECT * FROM measurement ORDER BY seq"),
@@ -107,6 +113,8 @@ const TABLES: [(RowOf, &str); 10] = [
     (RowOf::Hold, "SELECT * FROM bench_hold ORDER BY seq"),
     (RowOf::Simulator, "SELECT * FROM current_simulator ORDER BY seq DESC LIMIT 1"),
     (RowOf::ParameterSet, "SELECT * FROM parameter_set ORDER BY seq"),
+    (RowOf::Spoonful, "SELECT * FROM spoonful ORDER BY seq"),
+    (RowOf::Forgotten, "SELECT * FROM forgotten ORDER BY seq"),
     (RowOf::Stock, "SELECT * FROM stock"),
 ];
 
@@ -151,6 +159,9 @@ impl Said {
             }
             "new observation" => {
                 self.say(RowOf::Observation, named("observation"), seq, &body["observation"])
+            }
+            "forget shakes" => {
+                self.say(RowOf::Forgotten, named("forgotten"), seq, &body["forgotten"])
             }
             "choose simulator" => {
                 let chosen = json!({ "version": body["simulator"]["version"] });
@@ -313,6 +324,26 @@ fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
         RowOf::Simulator => json!({ "version": text("version")? }),
         RowOf::ParameterSet => {
             json!({ "id": text("id")?, "parameters": row.json::<Value>("parameters")? })
+        }
+        RowOf::Spoonful => {
+            let mut says: Value = row.json("body")?;
+            // The columns beside it say the same of powder and lot, and must.
+            says["powder"] = text("powder")?.into();
+            if let Some(lot) = text("lot")? {
+                says["lot"] = lot.into();
+            }
+            says["id"] = text("id")?.into();
+            says["source"] = text("source")?.into();
+            says["created_at"] = json!(row.time("created_at")?);
+            says
+        }
+        RowOf::Forgotten => {
+            let mut says =
+                json!({ "id": text("id")?, "powder": text("powder")?, "at": row.time("at")? });
+            if let Some(lot) = text("lot")? {
+                says["lot"] = lot.into();
+            }
+            says
         }
         RowOf::Stock => json!({ "at": row.time("at")? }),
     })

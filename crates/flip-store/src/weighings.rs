@@ -5,6 +5,7 @@ use super::page::{Page, Window};
 use super::row::{Columns, json, word};
 use super::{Result, Store, Tx};
 use crate::audit::{About, OutcomeRecord};
+use flip_core::domain::apparatus::Apparatus;
 use flip_core::domain::bench::{BenchKind, Tick};
 use flip_core::domain::conditions::{Patch, Under};
 use flip_core::domain::timestamp::Timestamp;
@@ -65,6 +66,9 @@ pub struct Weighing {
     /// Measurements in addition to the reading.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured: Option<MeasuredMass>,
+    /// Display, spoon and strokes with which its shakes were made and read; absent if none was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub apparatus: Option<Apparatus>,
     /// Why it was aborted.
     pub error: Option<String>,
     /// When the intent was committed.
@@ -167,6 +171,7 @@ pub struct Ending {
     pub shakes: Option<u32>,
     pub seconds: Option<f64>,
     pub measured: Option<MeasuredMass>,
+    pub apparatus: Option<Apparatus>,
     pub trace: Option<String>,
     pub error: Option<String>,
 }
@@ -176,7 +181,7 @@ impl Ending {
     pub fn bare(state: WeighingState, outcome: Outcome, error: impl Into<String>) -> Self {
         let error = Some(error.into());
         let (dispensed_mg, reading_mg, error_mg, shakes, seconds) = (None, None, None, None, None);
-        let (measured, trace) = (None, None);
+        let (measured, apparatus, trace) = (None, None, None);
         Self {
             state,
             outcome,
@@ -186,6 +191,7 @@ impl Ending {
             shakes,
             seconds,
             measured,
+            apparatus,
             trace,
             error,
         }
@@ -229,20 +235,6 @@ impl Store {
         let sql = "SELECT data FROM event WHERE topic = ?1 AND kind = 'tick' ORDER BY seq";
         let rows = sqlx::query(sql).bind(weighing_topic(id)).fetch_all(&self.reader).await?;
         rows.iter().map(|row| row.json("data")).collect()
-    }
-
-    /// Where to find the ticks of a powder's latest doses on such a bench that ran their course,
-    /// newest first.
-    pub async fn traces_of(
-        &self,
-        powder: &str,
-        bench: BenchKind,
-        count: u32,
-    ) -> Result<Vec<String>> {
-        let sql = "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over', 'blocked') \
-                   AND trace IS NOT NULL ORDER BY seq DESC LIMIT ?3";
-        let query = sqlx::query_scalar(sql).bind(powder).bind(word(&bench)).bind(count);
-        Ok(query.fetch_all(&self.reader).await?)
     }
 
     /// The next weighing in turn.
@@ -409,7 +401,7 @@ impl Tx {
         now: Timestamp,
     ) -> Result<Option<Weighing>> {
         let sql = "UPDATE weighing SET state = ?2, outcome = ?3, dispensed_mg = ?4, reading_mg = ?5, error_mg = ?6, \
-                   shakes = ?7, seconds = ?8, trace = ?9, error = ?10, finished_at = ?11, measured = ?12 \
+                   shakes = ?7, seconds = ?8, trace = ?9, error = ?10, finished_at = ?11, measured = ?12, apparatus = ?13 \
                    WHERE id = ?1 AND outcome IS NULL RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
@@ -424,6 +416,7 @@ impl Tx {
             .bind(&ending.error)
             .bind(now.unix_ms())
             .bind(ending.measured.as_ref().map(json).transpose()?)
+            .bind(ending.apparatus.as_ref().map(json).transpose()?)
             .fetch_optional(&mut *self.inner)
             .await?;
         let Some(row) = row else { return Ok(None) };
@@ -478,6 +471,7 @@ fn weighing(row: &SqliteRow) -> Result<Weighing> {
         shakes: shakes.and_then(|n| u32::try_from(n).ok()),
         seconds: row.plain("seconds")?,
         measured: row.maybe_json("measured")?,
+        apparatus: row.maybe_json("apparatus")?,
         error: row.plain("error")?,
         created_at: row.time("created_at")?,
         started_at: row.maybe_time("started_at")?,

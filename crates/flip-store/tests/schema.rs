@@ -8,6 +8,7 @@
 use flip_core::domain::bench_check::CheckKind;
 use flip_core::domain::job::JobKind;
 use flip_store::page::Window;
+use flip_store::spoonfuls::ShakesWanted;
 use flip_store::{Error, Store, backup};
 use serde_json::Value;
 use sqlx::migrate::Migrator;
@@ -112,6 +113,9 @@ async fn readable(store: &Store) -> Vec<(&'static str, usize)> {
     let (observations, _) = store.observations_after(None, 0).await.unwrap();
     let mut trials = store.all_trials("c-1").await.unwrap();
     trials.extend(store.trials("c-2", all()).await.unwrap().items);
+    let wanted = ShakesWanted::default();
+    let spoonfuls = store.imported_spoonfuls(&wanted, all()).await.unwrap();
+    store.shaken(&wanted, all()).await.unwrap();
     let mut checks = 0;
     for kind in [CheckKind::Repeatability, CheckKind::Shakes, CheckKind::Conformance] {
         checks += usize::from(store.newest_check::<Value>(kind).await.unwrap().is_some());
@@ -139,6 +143,8 @@ async fn readable(store: &Store) -> Vec<(&'static str, usize)> {
         ("bench_check", checks),
         ("event", store.events_after(None, 0, 200).await.unwrap().len()),
         ("pile", store.piles("r-1").await.unwrap().len()),
+        ("spoonful", spoonfuls.len()),
+        ("forgotten", store.forgotten().await.unwrap().len()),
         ("bench_reservation", usize::from(store.reservation().await.unwrap().is_some())),
     ]
 }

@@ -173,8 +173,13 @@ pub fn is_stream(path: &str) -> bool {
 
 /// Whether the response grows with the whole history.
 fn is_long(path: &str) -> bool {
-    const LONG: [&str; 4] =
-        ["/v1/audit.json", "/v1/audit.csv", "/v1/audit/verification", "/flip.v1.Bench/VerifyAudit"];
+    const LONG: [&str; 5] = [
+        "/v1/audit.json",
+        "/v1/audit.csv",
+        "/v1/audit/verification",
+        "/v1/shakes.csv",
+        "/flip.v1.Bench/VerifyAudit",
+    ];
     LONG.contains(&path) || path.starts_with("/v1/") && path.ends_with("measurements.csv")
 }
 

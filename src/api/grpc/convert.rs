@@ -6,6 +6,7 @@ use crate::api::problem::Problem;
 use crate::app;
 use crate::app::PageQuery;
 use flip_core::domain::FieldError;
+use flip_core::domain::apparatus::{Apparatus, Stroke, StrokeResponse};
 use flip_core::domain::bench::{BenchKind, Tick};
 use flip_core::domain::conditions::{Condition, Conditions, Under};
 use flip_core::domain::job::{JobKind, JobState};
@@ -230,6 +231,7 @@ same_fields! {
         under: w.under.map(Into::into),
         asked: (!w.asked.is_nothing()).then(|| w.asked.into()),
         measured: w.measured.map(Into::into),
+        apparatus: w.apparatus.map(Into::into),
         vial_check: proto::VialCheck::from(w.vial_check).into(),
         state: proto::WeighingState::from(w.state).into(),
         outcome: w.outcome.map(|outcome| proto::Outcome::from(outcome).into()),
@@ -237,6 +239,16 @@ same_fields! {
         started_at: w.started_at.and_then(at),
         finished_at: w.finished_at.and_then(at),
     }
+    a: Apparatus => Apparatus { readability_mg repeatability_mg capacity_mg } {
+        stroke: a.stroke.map(Into::into),
+    }
+    s: Stroke => Stroke { shake_mm_max } {
+        velocity_m_s: s.limits.velocity_m_s,
+        acceleration_m_s2: s.limits.acceleration_m_s2,
+        jerk_m_s3: s.limits.jerk_m_s3,
+        response: s.response.map(Into::into),
+    }
+    r: StrokeResponse => StrokeResponse { gain offset_mm speed_gain } {}
     a: app::Asked => Asked { lot vial operator temperature_c relative_humidity_pct accuracy_pct } {
         retries_max: match a.on_overdose {
             app::OnOverdose::Stop => 0,
@@ -350,7 +362,7 @@ fn json(plain: &impl serde::Serialize) -> String {
     serde_json::to_string(plain).unwrap_or_default()
 }
 
-fn bench_kind(kind: BenchKind) -> String {
+pub(super) fn bench_kind(kind: BenchKind) -> String {
     let name = match kind {
         BenchKind::Simulated => "simulated",
         BenchKind::Emulated => "emulated",

@@ -12,6 +12,7 @@ mod jobs;
 mod policies;
 mod powders;
 mod repose;
+mod shakes;
 mod simulators;
 pub mod status;
 mod tokens;
@@ -39,6 +40,7 @@ use proto::jobs_server::JobsServer;
 use proto::policies_server::PoliciesServer;
 use proto::powders_server::PowdersServer;
 use proto::repose_measurements_server::ReposeMeasurementsServer;
+use proto::shakes_server::ShakesServer;
 use proto::simulators_server::SimulatorsServer;
 use proto::tokens_server::TokensServer;
 use proto::trainings_server::TrainingsServer;
@@ -91,6 +93,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(EvaluationsServer))
         .add_service(limited!(InvestigationsServer, LARGE_BYTES_MAX))
         .add_service(limited!(SimulatorsServer, LARGE_BYTES_MAX))
+        .add_service(limited!(ShakesServer, LARGE_BYTES_MAX))
         .add_service(limited!(WeighingsServer))
         .add_service(limited!(BenchServer))
         .add_service(frames)

@@ -21,6 +21,7 @@ const TOKEN: &str = "token";
     components(schemas(Problem)),
     tags(
         (name = "powders", description = "Real powders and their measured flowability"),
+        (name = "shakes", description = "What spoons let fall, shake by shake: of weighings, and imported"),
         (name = "parameters", description = "The nine parameters of simulated powders, and calibrated sets of them"),
         (name = "calibrations", description = "From a flowability to parameter sets"),
         (name = "trainings", description = "From parameter sets to a policy"),

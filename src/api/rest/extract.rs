@@ -19,9 +19,13 @@ pub const LARGE_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// Maximum size of the body, or of the gRPC message, sent to this path.
 pub fn bytes_max(path: &str) -> usize {
-    let services =
-        ["/flip.v1.ReposeMeasurements/", "/flip.v1.Investigations/", "/flip.v1.Simulators/"];
-    let tables = ["/v1/measurements/import", "/v1/investigations"];
+    let services = [
+        "/flip.v1.ReposeMeasurements/",
+        "/flip.v1.Investigations/",
+        "/flip.v1.Simulators/",
+        "/flip.v1.Shakes/",
+    ];
+    let tables = ["/v1/measurements/import", "/v1/shakes/import", "/v1/investigations"];
     let of_things = ["/frames", "/predictions"];
     let is_large = services.iter().any(|service| path.starts_with(service))
         || tables.contains(&path)

@@ -16,6 +16,7 @@ mod parameters;
 mod policies;
 mod powders;
 mod repose;
+mod shakes;
 mod simulators;
 mod tokens;
 mod trainings;
@@ -75,6 +76,8 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(investigations::get_investigation))
         .routes(routes!(investigations::download_predictions))
         .routes(routes!(investigations::get_report_page))
+        .routes(routes!(shakes::list_shakes, shakes::forget_shakes))
+        .routes(routes!(shakes::export_shakes))
         .routes(routes!(simulators::list_simulators))
         .routes(routes!(simulators::get_current_simulator, simulators::choose_simulator))
         .routes(routes!(simulators::get_simulator))
@@ -122,6 +125,7 @@ fn large_routes() -> OpenApiRouter<App> {
     OpenApiRouter::new()
         .routes(routes!(repose::add_frame))
         .routes(routes!(measurements::import_measurements))
+        .routes(routes!(shakes::import_shakes))
         .routes(routes!(investigations::start_investigation))
         .routes(routes!(simulators::predict))
         .layer(DefaultBodyLimit::max(extract::LARGE_BYTES_MAX))

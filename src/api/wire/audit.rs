@@ -41,12 +41,17 @@ pub enum RowOf {
     Simulator,
     /// A calibrated set, whose id derives from its values.
     ParameterSet,
+    /// A spoonful that was imported.
+    Spoonful,
+    /// Up to when shakes of a powder are forgotten.
+    Forgotten,
     /// The mark that a stock-taking of rows without a record was done, and when.
     Stock,
 }
 
 answer! { flip_store::said::RowOf => enum RowOf {
-    Token, Powder, Measurement, Observation, Check, Latch, Hold, Simulator, ParameterSet, Stock,
+    Token, Powder, Measurement, Observation, Check, Latch, Hold, Simulator, ParameterSet, Spoonful,
+    Forgotten, Stock,
 } }
 
 /// A row that does not match the record.

@@ -1,6 +1,6 @@
 //! Doses of powder.
 
-use super::{Day, Patch, Timestamp, Under, VialCheck, is_default};
+use super::{Apparatus, Day, Patch, Timestamp, Under, VialCheck, is_default};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -140,6 +140,9 @@ pub struct Weighing {
     /// Measurements in addition to the reading.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured: Option<MeasuredMass>,
+    /// Display, spoon and strokes with which its shakes were made and read; absent if none was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub apparatus: Option<Apparatus>,
     /// Why it was aborted.
     pub error: Option<String>,
     /// When the intent was committed.
@@ -153,7 +156,7 @@ pub struct Weighing {
 answer! { flip_store::weighings::Weighing => Weighing {
     id, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, parameter_set, seed,
     under, patch, asked, vial_check, bench, state, outcome, dispensed_mg, reading_mg, error_mg,
-    shakes, seconds, measured, error, created_at, started_at, finished_at,
+    shakes, seconds, measured, apparatus, error, created_at, started_at, finished_at,
 } }
 
 /// A weighing waiting for the bench.
@@ -333,7 +336,7 @@ answer! { flip_core::domain::weighing::WeighingState => enum WeighingState {
 } }
 
 /// The devices behind a bench.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum BenchKind {
     /// The simulator, called directly.
@@ -345,6 +348,7 @@ pub enum BenchKind {
 }
 
 answer! { flip_core::domain::bench::BenchKind => enum BenchKind { Simulated, Emulated, Devices } }
+request! { enum BenchKind => flip_core::domain::bench::BenchKind { Simulated, Emulated, Devices } }
 
 /// What a policy proposes for one step: first incline, then shake.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, ToSchema)]

@@ -3,9 +3,11 @@
 use super::condition::{Condition, Unwritten};
 use super::lane::{Heard, LaneThread};
 use flip_bench::rig::{Poured, Pouring};
-use flip_core::domain::bench::Tick;
+use flip_core::domain::apparatus::Apparatus;
+use flip_core::domain::bench::{BenchKind, Tick};
 use flip_core::domain::vial::{Dosed, Pan, Vial, VialFlaw};
 use flip_core::domain::weighing::{MeasuredMass, Outcome, WeighingState};
+use flip_sim::dispense;
 use flip_store::bench::Latch;
 use flip_store::weighings::{Ending, Weighing};
 use flip_store::{self as store, Store, now};
@@ -103,6 +105,7 @@ impl LaneThread {
             Outcome::Stopped | Outcome::Aborted => WeighingState::Aborted,
             Outcome::Unknown => WeighingState::Unknown,
         };
+        let apparatus = (!poured.ticks.is_empty()).then(|| self.apparatus(pouring, &poured));
         let touched = touched(&poured, &heard, pouring.task.order.readability_mg);
         let task = &pouring.task;
         let minimum_mg = task.accuracy.repeatability_mg.map(|_| task.minimum_mg());
@@ -141,11 +144,26 @@ impl LaneThread {
             shakes: Some(poured.shakes),
             seconds: Some(poured.seconds),
             measured,
+            apparatus,
             trace: None,
             error,
         };
         let must_look = poured.must_look.filter(|_| self.rig.kind().has_devices());
         Ended { ending, ticks: Some(poured.ticks), must_look, touched }
+    }
+
+    /// What the dose was weighed with. A simulated spoon holds what its simulator fills in.
+    fn apparatus(&self, pouring: &Pouring, poured: &Poured) -> Apparatus {
+        let Pouring { task, simulation, .. } = pouring;
+        let is_simulated = self.rig.kind() != BenchKind::Devices;
+        let filled_mg = || dispense::capacity_mg(&simulation.set, &simulation.spoon);
+        let capacity_mg = self.rig.spoon().capacity_mg;
+        Apparatus {
+            readability_mg: task.order.readability_mg,
+            repeatability_mg: task.accuracy.repeatability_mg,
+            capacity_mg: capacity_mg.or_else(|| is_simulated.then(filled_mg)),
+            stroke: poured.stroke,
+        }
     }
 
     /// Why nothing was poured into the vial on the pan, and what to do.

@@ -15,8 +15,8 @@ use flip_store::audit::About;
 use flip_store::weighings::Weighing;
 use flip_store::{self as store, now};
 
-/// Maximum number of a powder's earlier doses that the forecast uses: older ones had another lot
-/// and other air.
+/// Maximum number of a powder's earlier doses that the forecast uses: older ones had other air,
+/// and where no lot is named another lot.
 const REMEMBERED: u32 = 20;
 
 impl LaneThread {
@@ -46,11 +46,8 @@ impl LaneThread {
             let policy = policy::decode(&policy)
                 .map_err(|error| store::Error::Corrupt(error.to_string()))?;
             let readability_mg = self.rig.readability_mg().unwrap_or(balance.readability_mg);
-            let earlier = if self.rig.remembers() {
-                self.earlier(&weighing.powder).await?
-            } else {
-                Vec::new()
-            };
+            let earlier =
+                if self.rig.remembers() { self.earlier(weighing).await? } else { Vec::new() };
             if !earlier.is_empty() {
                 self.record_earlier(&weighing.id, earlier.len()).await?;
             }
@@ -87,9 +84,10 @@ impl LaneThread {
     }
 
     /// Falls of powder in earlier doses of this powder on such a bench, of those that ran their
-    /// course.
-    async fn earlier(&self, powder: &str) -> store::Result<Vec<Vec<Fall>>> {
-        let traces = self.store.traces_of(powder, self.rig.kind(), REMEMBERED).await?;
+    /// course and are not forgotten; of its lot, if the weighing names one.
+    async fn earlier(&self, weighing: &Weighing) -> store::Result<Vec<Vec<Fall>>> {
+        let (powder, lot) = (&weighing.powder, weighing.asked.lot.as_deref());
+        let traces = self.store.traces_of(powder, lot, self.rig.kind(), REMEMBERED).await?;
         let falls = |trace: &String| {
             let bytes = self.store.artifacts().get(trace).map_err(|error| error.to_string())?;
             let ticks: Vec<Tick> =

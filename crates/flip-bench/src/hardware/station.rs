@@ -9,6 +9,7 @@ use super::gripper::{Gripper, fault_words};
 use super::settle::{Settling, Shown, settled, standing};
 use super::wire::Tap;
 use super::{Bench, DeviceError};
+use flip_core::domain::apparatus::{Stroke, StrokeResponse};
 use flip_core::domain::bench::{Action, Moment, PitchLimits, Reach, Reading, Standing, Tare};
 use flip_core::domain::bench_check::ShakeCalibration;
 use flip_core::domain::spoon::FilledBy;
@@ -113,6 +114,13 @@ impl Station {
     /// The arm cannot be reached.
     pub fn stopper(&self) -> Result<Stopper, DeviceError> {
         self.arm.stopper()
+    }
+
+    /// How the arm strokes, within its own limits and by its calibration.
+    pub fn stroke(&self) -> Stroke {
+        let limits = self.arm.limits();
+        let response = self.shakes.as_ref().map(StrokeResponse::from);
+        Stroke { shake_mm_max: limits.shake_mm_max, limits: limits.motion, response }
     }
 
     /// Identities of the devices, by role.

@@ -142,7 +142,7 @@ pub(super) fn dose(
             return latched_or(poured, latch_cause(&file.arm.url, tap));
         }
     };
-    let task = &pouring.task;
+    let (task, stroke) = (&pouring.task, Some(station.stroke()));
     let (accuracy, forecast, readings) = (task.accuracy, Some(pouring.forecast), file.readings);
     let (life_s, rest_max_s, pan) = (readings.life_s, readings.stand_max_s, pouring.pan);
     let (onset_deg, spoon_mg) = (pouring.onset_deg, pouring.spoon_mg);
@@ -162,7 +162,7 @@ pub(super) fn dose(
     wires.closed();
     let went_well =
         !weighed.must_look && !matches!(weighed.outcome, Outcome::Aborted | Outcome::Stopped);
-    let mut poured = Poured::of(weighed, None);
+    let mut poured = Poured { stroke, ..Poured::of(weighed, None) };
     // For a balance that flags nothing, FLIP's own stability window decides: the balance itself
     // reported nothing.
     if let Some(measured) =

@@ -1,6 +1,7 @@
 //! How a dose ended.
 
 use crate::weigh::Weighed;
+use flip_core::domain::apparatus::Stroke;
 use flip_core::domain::bench::Tick;
 use flip_core::domain::weighing::{MeasuredMass, Outcome};
 
@@ -22,6 +23,8 @@ pub struct Poured {
     pub seconds: f64,
     /// Actions and readings, in order.
     pub ticks: Vec<Tick>,
+    /// How the arm strokes; none if it was not opened.
+    pub stroke: Option<Stroke>,
     /// Why it ended as it did, if that needs explaining.
     pub error: Option<String>,
     /// Why a person must check the bench before anything moves again.
@@ -39,6 +42,7 @@ impl Poured {
             shakes: 0,
             seconds: 0.0,
             ticks: Vec::new(),
+            stroke: None,
             error: Some(cause),
             must_look: None,
         }
@@ -70,6 +74,7 @@ impl Poured {
             shakes: weighed.shakes,
             seconds: weighed.seconds,
             ticks: weighed.ticks,
+            stroke: None,
             error: weighed.cause,
             must_look,
         }

@@ -4,7 +4,8 @@ use super::{OnEvent, Poured, Pouring, Rig, Simulation, Task};
 use crate::hardware::DeviceError;
 use crate::hardware::simulated::SimulatedBench;
 use crate::weigh::{Settings, weigh};
-use flip_core::domain::bench::BenchKind;
+use flip_core::domain::apparatus::Stroke;
+use flip_core::domain::bench::{BenchKind, SHAKE_MM_MAX};
 use flip_sim::balance;
 use std::sync::atomic::AtomicBool;
 
@@ -43,9 +44,12 @@ pub fn simulate(
     stop: &AtomicBool,
 ) -> Poured {
     let Simulation { set, balance, seed, .. } = simulation;
-    let mut bench = SimulatedBench::new(set, &simulation.spoon_for(&task.rules), balance, *seed);
+    let spoon = simulation.spoon_for(&task.rules);
+    let mut bench = SimulatedBench::new(set, &spoon, balance, *seed);
     let settings = Settings { accuracy: task.accuracy, ..Settings::EPISODE };
     let Task { controller, rules, order, .. } = task;
     let weighed = weigh(&mut bench, controller, rules, order, &settings, on_event, stop);
-    Poured::of(weighed, Some(bench.vial_mg()))
+    // A simulated spoon makes the strokes that it is asked for.
+    let stroke = Stroke { shake_mm_max: SHAKE_MM_MAX, limits: spoon.shake, response: None };
+    Poured { stroke: Some(stroke), ..Poured::of(weighed, Some(bench.vial_mg())) }
 }

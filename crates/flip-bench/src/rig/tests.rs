@@ -6,7 +6,10 @@ use crate::emulate::lab::{self, Laboratory};
 use crate::hardware::clock::Clock;
 use crate::weigh::forecast::Forecast;
 use crate::weigh::{Accuracy, Order};
+use flip_core::domain::apparatus::Apparatus;
+use flip_core::domain::bench::Tick;
 use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::shake::{ShakesOf, Spoonful};
 use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Outcome;
 use flip_policy::{Controller, Rules, ScheduledStep};
@@ -104,6 +107,42 @@ fn a_dose_runs_its_course_names_its_devices_and_leaves_its_traffic() {
         assert_eq!(rig.exchanges().is_empty(), !kind.has_devices(), "{kind:?}");
         assert!(rig.exchanges().is_empty(), "{kind:?}: it was taken");
         assert_eq!(rig.arm_latch().unwrap(), None, "{kind:?}");
+    }
+}
+
+#[test]
+fn the_shakes_of_a_dose_add_up_to_what_the_display_shows_and_are_what_the_arm_makes() {
+    for case in cases() {
+        let (kind, poured) = (case.rig.kind(), case.undisturbed());
+        let stroke = poured.stroke.unwrap();
+        // Calibrated shakes are corrected; those of a simulated spoon need no correction.
+        assert_eq!(stroke.response.is_some(), kind == BenchKind::Emulated, "{kind:?}: {stroke:?}");
+        let apparatus = Apparatus {
+            readability_mg: 1.0,
+            repeatability_mg: None,
+            capacity_mg: None,
+            stroke: poured.stroke,
+        };
+        let (weighing, powder) = ("w".to_owned(), "salt".to_owned());
+        let of = ShakesOf { weighing, powder, lot: None, session: None };
+        let found = Spoonful::of(&poured.ticks, &apparatus, &of);
+        let [spoonful] = &found[..] else { panic!("{kind:?}: {found:?}") };
+        let shown = |tick: Option<&Tick>| tick.unwrap().reading.mass_mg;
+        let shown_mg = shown(poured.ticks.last()) - shown(poured.ticks.first());
+        assert!((spoonful.fell_mg() - shown_mg).abs() < 1e-9, "{kind:?}");
+        let reading_mg = poured.reading_mg.unwrap();
+        let sd_mg = spoonful.shakes[0].sd_mg;
+        assert!((spoonful.fell_mg() - reading_mg).abs() < 4.0 * sd_mg, "{kind:?}: {reading_mg}");
+        let strokes = spoonful.shakes.iter().filter(|shake| shake.shake_mm > 0.0);
+        assert_eq!(strokes.clone().count() as u32, poured.shakes, "{kind:?}");
+        // The guard may have made them gentler than the controller asked for.
+        for (shake, tick) in spoonful.shakes.iter().zip(&poured.ticks[1..]) {
+            let asked_mm = tick.action.executed_shake_mm();
+            assert!((shake.shake_mm - asked_mm).abs() < 1e-9, "{kind:?}: {shake:?}");
+        }
+        let most = stroke.limits.acceleration_m_s2 + 1e-9;
+        let mut accelerations = strokes.map(|shake| shake.acceleration_m_s2.unwrap());
+        assert!(accelerations.all(|it| it > 0.1 && it <= most), "{kind:?}: {spoonful:?}");
     }
 }
 

@@ -1,6 +1,7 @@
 //! The domain types: powders, parameter sets, readings, actions, weighings, jobs. No I/O, no clock,
 //! no async.
 
+pub mod apparatus;
 pub mod bench;
 pub mod bench_check;
 pub mod conditions;

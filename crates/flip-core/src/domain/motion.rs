@@ -124,6 +124,11 @@ impl Move {
         self.top_m_s
     }
 
+    /// Largest acceleration of the move, m/s^2.
+    pub fn peak_m_s2(&self) -> f64 {
+        self.peak_m_s2
+    }
+
     /// Acceleration at `t` after the start, m/s^2; zero outside the move.
     pub fn acceleration_m_s2(&self, t: f64) -> f64 {
         let fall_starts = self.rise_s + self.cruise_s;

@@ -149,7 +149,7 @@ impl Course {
         let mut probe = |incline_change_deg: f64, shake_mm: f64| {
             let strokes = (0..STROKES).map(|k| {
                 let incline_change_deg = if k == 0 { incline_change_deg } else { 0.0 };
-                spoon.step(Action { incline_change_deg, shake_mm }).vial_mg
+                spoon.step(Action::once(incline_change_deg, shake_mm)).vial_mg
             });
             strokes.sum()
         };
