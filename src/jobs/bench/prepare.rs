@@ -51,6 +51,7 @@ impl LaneThread {
             if !earlier.is_empty() {
                 self.record_earlier(&weighing.id, earlier.len()).await?;
             }
+            let hangs = hangs(Some(set.repose_deg));
             let class_pct = weighing.asked.accuracy_pct;
             Ok(Pouring {
                 task: Task {
@@ -75,8 +76,10 @@ impl LaneThread {
                 },
                 shakes: shakes.map(|(_, line)| line),
                 forecast: Forecast::GENERIC.informed(&earlier, readability_mg),
-                hangs: hangs(Some(set.repose_deg)),
-                onset_deg: onset_deg(&earlier, readability_mg),
+                hangs,
+                // Shakes that release nothing below the onset tell the guard what to expect of a
+                // powder that flows: only one that hangs is brought there unshaken.
+                onset_deg: onset_deg(&earlier, readability_mg).filter(|_| hangs > 0.0),
                 spoon_mg: holds_mg(&self.rig.spoon(), std::iter::once(&set.parameters)),
                 pan: self.pan_check(weighing, pan, readability_mg),
             })
