@@ -72,12 +72,12 @@ impl Settings {
         accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
         pan: PanCheck::NONE,
     };
-    /// On a bench, for a target that may take several spoonfuls of `spoon_mg`: twice as many as
-    /// full spoons hold it, and the time for each.
+    /// On a bench, for a target that may take several spoonfuls of `spoon_mg`: four times as many as
+    /// full spoons hold it, as powder may miss the vial, and the time for each full one.
     pub fn for_target(target_mg: f64, spoon_mg: Option<f64>) -> Self {
         let full = spoon_mg.map_or(1.0, |spoon_mg| (target_mg / spoon_mg).ceil().max(1.0));
         // Casting saturates.
-        let spoonfuls_max = Self::BENCH.spoonfuls_max.max(2 * full as u32);
+        let spoonfuls_max = Self::BENCH.spoonfuls_max.max(4 * full as u32);
         Self { spoonfuls_max, seconds_max: full * Self::BENCH.seconds_max, ..Self::BENCH }
     }
 
