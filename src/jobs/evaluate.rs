@@ -163,8 +163,12 @@ fn about<'a>(
 ) -> Option<&'a str> {
     let usual_balance = spec.readability_mg == balance::Settings::default().readability_mg;
     let is_base = spec.under.is_none();
+    // The simulated spoon pitches no further than this, whatever the rules allow.
+    let pitch = dispense::Settings::default().pitch;
+    let on_it = |rules: &Rules| Rules { pitch: rules.pitch.within(pitch), ..*rules };
     let usual = |of: &Policy| {
-        is_base && spec.conditions.are_usual() && usual_balance && *rules == of.manifest.rules
+        let same_rules = on_it(rules) == on_it(&of.manifest.rules);
+        is_base && spec.conditions.are_usual() && usual_balance && same_rules
     };
     let shipped = flip_policy::shipped();
     match controller {

@@ -84,19 +84,27 @@ fn absent(spoon: &str) -> Functions {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_real_spoon_is_not_measured_by_the_simulated_one() {
     let asked_mg = 60.0;
-    for (spoon, fits) in [
+    for (measured, fits) in [
         ("", false),
-        ("[spoon]\ncapacity_mg = 75\n", true),
-        ("[spoon]\ncapacity_mg = 50\n", false),
-        ("[spoon]\nlength_mm = 16\nwidth_mm = 12\ndepth_mm = 4\n", true),
+        ("capacity_mg = 75\n", true),
+        ("capacity_mg = 50\n", false),
+        ("length_mm = 16\nwidth_mm = 12\ndepth_mm = 4\n", true),
     ] {
+        // An arm that fills its spoon takes several spoonfuls.
+        let (_folder, app) = open(absent(&format!("[spoon]\n{measured}"))).await;
+        calibrated(&app, "sand").await;
+        assert!(app.start_weighing(mg("sand", asked_mg), "key").await.is_ok(), "{measured}");
+        assert!(app.start_weighing(mg("sand", 1001.0), "more").await.is_err(), "{measured}");
+        app.shutdown().await.unwrap();
+
+        let spoon = &format!("[spoon]\nfilled_by = \"hand\"\n{measured}");
         let (_folder, app) = open(absent(spoon)).await;
         calibrated(&app, "sand").await;
         match app.start_weighing(mg("sand", asked_mg), "key").await {
             Ok(_) => assert!(fits, "{spoon}"),
             Err(Error::Invalid(errors)) => {
                 assert!(!fits && errors[0].field == "target.value", "{spoon}: {errors:?}");
-                assert_eq!(errors[0].message.contains("[spoon]"), spoon.is_empty(), "{errors:?}");
+                assert_eq!(errors[0].message.contains("[spoon]"), measured.is_empty());
             }
             Err(other) => panic!("{spoon}: {other:?}"),
         }

@@ -271,7 +271,7 @@ async fn forecasts(remembers: bool) -> Vec<Forecast> {
         poured.ticks[1..].iter_mut().for_each(|tick| tick.action.shake_mm = 4.0);
         // The third one did not run its course: its results must not be used.
         if pouring.task.order.target_mg == 9.0 {
-            poured.outcome = Outcome::Blocked;
+            poured.outcome = Outcome::NotStable;
         }
         poured
     };

@@ -75,8 +75,8 @@ macro_rules! weighing_counts {
 }
 
 impl Store {
-    /// Where to find the ticks of a powder's latest doses on such a bench that ran their course and
-    /// still count, newest first; of this lot, if one is given.
+    /// Where to find the ticks of a powder's latest doses on such a bench that ran their course, or
+    /// until the spoon was blocked, and still count, newest first; of this lot, if one is given.
     pub async fn traces_of(
         &self,
         powder: &str,

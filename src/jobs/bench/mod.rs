@@ -43,6 +43,7 @@ use flip_bench::rig::{PileStand, Rig};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::bench_check::Repeatability;
 use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::spoon::{FilledBy, Spoon};
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use flip_store::weighings::{Ending, Weighing};
 use flip_store::{self as store, Store, now};
@@ -105,7 +106,7 @@ impl Bench {
 
     /// Whether it is FLIP's own spoon, or the capacity of another one was not given.
     pub fn spoon_is_usual(&self) -> bool {
-        self.rig.spoon().is_usual()
+        Spoon { filled_by: FilledBy::default(), ..self.rig.spoon() }.is_usual()
     }
 
     /// Whether the bench fills its spoon by itself, so that a dose may take several spoonfuls.
