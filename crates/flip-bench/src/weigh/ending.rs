@@ -5,6 +5,10 @@ use super::{End, Event, Halted, Loop, Phase, result};
 use crate::hardware::{Bench, DeviceError};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::Ordering;
+
+/// Times a motion of the way back is tried if stops end it.
+const TRIES: u32 = 3;
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     /// Level the spoon and take it away, whatever happened and even if events cannot be reported.
@@ -16,7 +20,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             ("levelled", B::level as fn(&mut B) -> Result<(), DeviceError>),
             ("taken away", B::retract),
         ] {
-            let cause = match catch_unwind(AssertUnwindSafe(|| motion(self.bench))) {
+            let cause = match catch_unwind(AssertUnwindSafe(|| self.despite_stops(motion))) {
                 Ok(Ok(())) => continue,
                 Ok(Err(fault)) => fault.to_string(),
                 Err(_) => "the driver failed; the log has the details".to_owned(),
@@ -32,6 +36,21 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             });
         }
         ended
+    }
+
+    /// A motion of the way back. A stop reaches the arm over a connection of its own, and may end
+    /// the very motion that brings the spoon back from it, as may one that is pressed twice.
+    fn despite_stops(
+        &mut self,
+        motion: fn(&mut B) -> Result<(), DeviceError>,
+    ) -> Result<(), DeviceError> {
+        for _ in 1..TRIES {
+            match motion(self.bench) {
+                Err(DeviceError::Faulted { .. }) if self.stop.load(Ordering::SeqCst) => {}
+                done => return done,
+            }
+        }
+        motion(self.bench)
     }
 
     /// Mass in the vial once all is still.

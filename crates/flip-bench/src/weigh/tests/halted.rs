@@ -25,6 +25,27 @@ fn a_stop_is_obeyed_before_the_next_motion_wherever_it_comes() {
 }
 
 #[test]
+fn a_stop_that_arrives_during_the_return_does_not_leave_the_spoon_where_it_is() {
+    for call in [Call::Level, Call::Retract] {
+        let mut bench = Scripted::with(call, 0, Fault::Ended);
+        let (stop, mut heard) = (AtomicBool::new(false), 0);
+        let press = |_: &Event<'_>| {
+            heard += 1;
+            stop.store(heard > 5, Ordering::SeqCst);
+            ControlFlow::Continue(())
+        };
+        let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, press, &stop);
+        assert_eq!((weighed.outcome, weighed.must_look), (Outcome::Stopped, false), "{call:?}");
+        assert!(bench.is_safe() && bench.count(call) == 2, "{call:?}");
+        // Without a stop it is a fault of the arm.
+        let mut bench = Scripted::with(call, 0, Fault::Ended);
+        let go_on = |_: &Event<'_>| ControlFlow::Continue(());
+        let weighed = hear(&mut bench, &Rules::FLIP, &BLIND, go_on, &AtomicBool::new(false));
+        assert_eq!((weighed.outcome, weighed.must_look), (Outcome::Aborted, true), "{call:?}");
+    }
+}
+
+#[test]
 fn what_cannot_be_recorded_does_not_move_and_neither_does_what_panics() {
     for panics in [false, true] {
         for n in 0..14 {

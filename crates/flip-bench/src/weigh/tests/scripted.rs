@@ -47,6 +47,8 @@ pub(super) enum Call {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Fault {
     Silent,
+    /// A stop that arrives late ends the motion.
+    Ended,
     Panics,
     NotANumber,
     Unstable,
@@ -133,6 +135,10 @@ impl Scripted {
         match self.fault {
             Some((at, n, fault)) if (at, n) == (call, nth) => match fault {
                 Fault::Silent => Err(DeviceError::Silent { device: "the scripted device" }),
+                Fault::Ended => Err(DeviceError::Faulted {
+                    device: "the arm",
+                    cause: "the motion was stopped".into(),
+                }),
                 Fault::Panics => panic!("a driver's bug"),
                 fault => Ok(Some(fault)),
             },
