@@ -5,6 +5,7 @@ use super::campaign_csv::{self, CampaignRead};
 use super::check::Check;
 use super::csv_file::date::DateOrder;
 use super::jobs::{corrupt, specification, stored};
+use super::judged_shakes::{AskedOfSpoons, StoredShakes};
 use super::trace_csv::{self, TracesRead};
 use super::{App, Error, Result, report_html};
 use crate::jobs::{Heaps, InvestigationSpec, JobSpec, SIMULATOR};
@@ -13,7 +14,7 @@ use flip_core::domain::job::JobKind;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Method;
 use flip_discover::report::{Report, Row, Verdict};
-use flip_discover::{self as discover, Campaign, FitSet, Settings};
+use flip_discover::{self as discover, Campaign, FitSet, Measured, Settings};
 use flip_store::jobs::{Job, JobRow};
 use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use flip_store::parameter_sets::CalibratedSet;
@@ -46,10 +47,17 @@ const UNCALIBRATED: [[f64; 2]; 7] = [
 #[serde(deny_unknown_fields)]
 pub struct InvestigationRequest {
     /// The runs as CSV text, one per row (docs/reference/csv.md); default every stored measurement
-    /// of an angle of repose, or none if `traces_csv` is given.
+    /// of an angle of repose, or none if `traces_csv` or shakes are given.
     pub measurements_csv: Option<String>,
     /// Balance readings of weighings as CSV text, one per row (docs/reference/csv.md); default none.
     pub traces_csv: Option<String>,
+    /// Shakes of weighings as CSV text, one per row (docs/reference/csv.md); default none.
+    pub shakes_csv: Option<String>,
+    /// Stored shakes of weighings in place of a file; default none.
+    pub shakes: Option<StoredShakes>,
+    /// Maximum spoonfuls of each powder to replay, default 600. Where nothing is wrong a third of
+    /// them are.
+    pub budget_replays: Option<u32>,
     /// Order of dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`;
     /// needed where the column is ambiguous.
     pub dates: Option<DateOrder>,
@@ -77,6 +85,9 @@ pub struct Investigation {
     /// Weighings whose balance readings it uses, including controls.
     #[serde(default)]
     pub weighings: u32,
+    /// Spoonfuls whose shakes it judges.
+    #[serde(default)]
+    pub spoonfuls: u32,
     /// Recorded conditions. The report's `files` lists the columns left out, and why.
     pub covariates: Vec<String>,
     /// Number of null campaigns, in which nothing is wrong, that it compares with.
@@ -98,6 +109,12 @@ pub struct Investigation {
     pub report: Option<Report>,
 }
 
+impl InvestigationRequest {
+    fn asks_spoons(&self) -> bool {
+        self.shakes.is_some() || self.shakes_csv.is_some()
+    }
+}
+
 impl App {
     /// Queues an investigation. `false`: the same one was requested before, and this is its job.
     ///
@@ -114,7 +131,7 @@ impl App {
         check.done()?;
         let Some(settings) = settings else { unreachable!("checked above") };
         let csv = match request.measurements_csv {
-            None if request.traces_csv.is_none() => {
+            None if request.traces_csv.is_none() && !request.asks_spoons() => {
                 Some(as_runs(&self.store().all_measurements(None).await?))
             }
             csv => csv,
@@ -140,6 +157,16 @@ impl App {
             }
             None => None,
         };
+        let measured =
+            Measured { campaign: campaign.as_ref(), traces: traces.as_ref(), spoon: None };
+        let asked = AskedOfSpoons {
+            csv: request.shakes_csv.as_deref(),
+            stored: request.shakes.as_ref(),
+            budget_replays: request.budget_replays,
+            beside: measured.channels(),
+            seed: settings.seed,
+        };
+        let shakes = self.spoon_spec(asked).await?;
         let heaps = match (&campaign, budget_runs) {
             (Some(campaign), 1..) => {
                 Some(Heaps { budget_runs, sets: self.stand_ins(campaign).await? })
@@ -147,8 +174,16 @@ impl App {
             _ => None,
         };
         let (method, simulator) = (discover::VERSION, SIMULATOR.to_owned());
-        let spec =
-            InvestigationSpec { campaign, traces, settings, heaps, files, method, simulator };
+        let spec = InvestigationSpec {
+            campaign,
+            traces,
+            shakes,
+            settings,
+            heaps,
+            files,
+            method,
+            simulator,
+        };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Investigation(spec)).await?)
     }
 
@@ -298,18 +333,23 @@ fn without_report(row: JobRow) -> Result<Investigation> {
         return Err(corrupt("an investigation's specification"));
     };
     let found: Option<Glance> = row.result.as_deref().map(stored).transpose()?;
-    let InvestigationSpec { campaign, traces, settings, heaps, simulator, .. } = spec;
+    let InvestigationSpec { campaign, traces, shakes, settings, heaps, simulator, .. } = spec;
     let (campaign, weighings) =
         (campaign.unwrap_or_default(), traces.map_or(Vec::new(), |traces| traces.weighings));
     let mut powders = campaign.powders;
     let sessions = campaign.runs.iter().map(|run| run.session).collect::<BTreeSet<_>>().len();
     let weighed = weighings.iter().filter_map(|weighing| weighing.powder.as_ref());
-    weighed.for_each(|powder| powders.extend((!powders.contains(powder)).then(|| powder.clone())));
+    let spoonfuls = shakes.map_or(Vec::new(), |shakes| shakes.spoonfuls);
+    let shaken = spoonfuls.iter().map(|spoonful| &spoonful.powder);
+    for powder in weighed.chain(shaken) {
+        powders.extend((!powders.contains(powder)).then(|| powder.clone()));
+    }
     Ok(Investigation {
         job: row.job,
         runs: campaign.runs.len() as u32,
         sessions: sessions as u32,
         weighings: weighings.len() as u32,
+        spoonfuls: spoonfuls.len() as u32,
         covariates: campaign.covariates.into_iter().map(|covariate| covariate.name).collect(),
         powders,
         simulations: settings.simulations,

@@ -97,7 +97,13 @@ impl App {
         };
         let report: Option<Report> = made.result.as_deref().map(stored).transpose()?;
         lacking(&report.ok_or_else(|| corrupt("an investigation's report"))?, &new, &version.id)?;
-        let campaign = spec.campaign.ok_or_else(|| corrupt("a version's campaign"))?;
+        let Some(campaign) = spec.campaign else {
+            let advice = format!(
+                "`{}` was made from spoonfuls: it changes what falls from a spoon and no angle",
+                version.id
+            );
+            return Err(FieldError::new("simulator", advice).into());
+        };
         let joined = campaign.joined(&new);
         let rows = tokio::task::spawn_blocking(move || predict(&joined, &responses(&joined))).await;
         Ok(rows.map_err(|error| Error::Internal(error.into()))??)

@@ -4,12 +4,14 @@
 use super::failure::Failure;
 use super::measurements::read;
 use super::session::{with_app, with_reader};
+use super::shakes::Bench;
 use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE};
 use crate::app::{
     App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead,
-    InvestigationRequest, Report, SimulatorVersion, names, predictions_csv, report_html,
+    InvestigationRequest, Report, SimulatorVersion, StoredShakes, names, predictions_csv,
+    report_html,
 };
 use anyhow::Context;
 use flip_core::domain::FieldError;
@@ -66,7 +68,7 @@ struct CampaignArguments {
     /// plate, relative_humidity_pct, temperature_c, rest_min, container_age_d, funnel_height_mm,
     /// base_diameter_mm, poured_mass_g, flow_time_s, vibration_rms_m_s2, ioniser_on, and any other
     /// column. An empty cell is a missing value.
-    #[arg(long, value_name = "FILE", required_unless_present = "traces")]
+    #[arg(long, value_name = "FILE", required_unless_present_any = ["traces", "shakes"])]
     measurements: Option<PathBuf>,
     /// Balance readings of weighings as a CSV file, one reading per row; with or without angles of
     /// repose.
@@ -77,6 +79,24 @@ struct CampaignArguments {
     /// pan) or standard (a standard mass). An empty cell is a missing value.
     #[arg(long, value_name = "FILE")]
     traces: Option<PathBuf>,
+    /// Shakes of weighings: those that are stored, or those of a CSV file as `flip shakes export`
+    /// prints it. They are compared with what the calibrated simulator lets fall in the same steps.
+    #[arg(long, value_name = "FILE", num_args = 0..=1)]
+    shakes: Option<Option<PathBuf>>,
+    /// Judge only stored shakes of this powder.
+    #[arg(long, value_name = "ID", requires = "shakes")]
+    powder: Option<String>,
+    /// Judge only stored shakes of this lot.
+    #[arg(long, requires = "shakes")]
+    lot: Option<String>,
+    /// Judge only stored shakes of weighings on this kind of bench, and imported ones.
+    #[arg(long, value_enum, requires = "shakes")]
+    shaken_on: Option<Bench>,
+    /// Maximum spoonfuls of each powder to replay: about 4 s of a processor each.
+    ///
+    /// Where nothing is wrong a third of them are.
+    #[arg(long, value_name = "N", default_value_t = 600)]
+    budget_replays: u32,
     /// Order of dates such as 2/3/2026 and 26/02/21; needed where the column is ambiguous.
     #[arg(long, value_name = "ORDER")]
     dates: Option<Dates>,
@@ -92,6 +112,29 @@ struct CampaignArguments {
     /// Folder for report.html, report.json and predict.csv; created if missing.
     #[arg(long, value_name = "DIR", required = true)]
     out: Option<PathBuf>,
+}
+
+impl CampaignArguments {
+    /// The stored shakes to judge, if no file is given.
+    fn stored_shakes(&self) -> Result<Option<StoredShakes>, FieldError> {
+        let of_stored = [
+            ("powder", self.powder.is_some()),
+            ("lot", self.lot.is_some()),
+            ("shaken-on", self.shaken_on.is_some()),
+        ];
+        match (&self.shakes, of_stored.iter().find(|(_, given)| *given)) {
+            (Some(Some(_)), Some((option, _))) => {
+                let advice = "is for stored shakes: leave the file of --shakes out, or this option";
+                Err(FieldError::new(*option, advice))
+            }
+            (Some(None), _) => Ok(Some(StoredShakes {
+                powder: self.powder.clone(),
+                lot: self.lot.clone(),
+                bench: self.shaken_on.map(Bench::kind),
+            })),
+            _ => Ok(None),
+        }
+    }
 }
 
 /// Order of day, month and year in a date.
@@ -172,6 +215,9 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
     let request = InvestigationRequest {
         measurements_csv: text_of("measurements", &arguments.measurements)?,
         traces_csv: text_of("traces", &arguments.traces)?,
+        shakes_csv: text_of("shakes", &arguments.shakes.clone().flatten())?,
+        shakes: arguments.stored_shakes()?,
+        budget_replays: Some(arguments.budget_replays),
         dates: arguments.dates.map(Into::into),
         simulations: Some(arguments.simulations),
         budget_runs: Some(arguments.budget_runs),
@@ -220,14 +266,22 @@ fn write_all(folder: &Path, files: &[(&str, String)]) -> Result<(), Failure> {
 }
 
 fn text(report: &Report, out: &Path) -> String {
-    let decision = match report.null_check.is_judged() {
-        true => format!(
+    let decision = match (report.null_check.is_judged(), &report.spoon) {
+        (false, Some(spoon)) => format!(
+            "verdict {}, p = {:.3} among {} replays of these spoonfuls by the calibrated simulator",
+            word(&report.verdict),
+            report.p_value,
+            spoon.campaigns
+        ),
+        (true, _) => format!(
             "verdict {}, p = {:.3} among {} campaigns of this design in which nothing is wrong",
             word(&report.verdict),
             report.p_value,
             report.null_check.campaigns
         ),
-        false => format!("angles not judged; verdict of the rest {}", word(&report.verdict)),
+        (false, None) => {
+            format!("angles not judged; verdict of the rest {}", word(&report.verdict))
+        }
     };
     let causes = report.causes.iter().take(CAUSES_SHOWN).map(|cause| {
         let probability = format!("{:.2}", cause.inclusion_probability);

@@ -71,19 +71,25 @@ struct Filter {
 
 /// A kind of bench.
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Bench {
+pub(super) enum Bench {
     Simulated,
     Emulated,
     Devices,
 }
 
+impl Bench {
+    pub(super) fn kind(self) -> BenchKind {
+        match self {
+            Self::Simulated => BenchKind::Simulated,
+            Self::Emulated => BenchKind::Emulated,
+            Self::Devices => BenchKind::Devices,
+        }
+    }
+}
+
 impl Filter {
     fn wanted(&self) -> ShakesWanted {
-        let bench = self.bench.map(|bench| match bench {
-            Bench::Simulated => BenchKind::Simulated,
-            Bench::Emulated => BenchKind::Emulated,
-            Bench::Devices => BenchKind::Devices,
-        });
+        let bench = self.bench.map(Bench::kind);
         ShakesWanted { powder: self.powder.clone(), lot: self.lot.clone(), bench }
     }
 }

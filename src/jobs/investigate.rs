@@ -6,17 +6,20 @@
 use super::Functions;
 use super::heaps::Pourer;
 use super::host::{Finished, JobError, JobHost, NewVersion, Result, go_on};
+use super::replays::judged;
 use super::spec::InvestigationSpec;
 use flip_core::domain::job::Progress;
-use flip_discover::investigate;
 use flip_discover::numerics::{CREEP, tell};
 use flip_discover::report::{CauseReport, Gain, Report, Unexplained};
-use flip_discover::{Extended, extend, responses};
+use flip_discover::spoon;
+use flip_discover::{Extended, Measured, extend, investigate, responses};
 use serde::Serialize;
 use std::time::Instant;
 
 /// Progress at which the statistical judgement begins and ends in a job that also simulates.
 const JUDGED: [f64; 2] = [0.15, 0.75];
+/// Progress at which replays of spoonfuls end where other data are judged as well.
+const REPLAYED: f64 = 0.6;
 
 pub(super) fn perform(
     host: &dyn JobHost,
@@ -25,6 +28,17 @@ pub(super) fn perform(
 ) -> Result<()> {
     let InvestigationSpec { campaign, traces, settings, simulator, .. } = spec;
     let began = Instant::now();
+    let mut measured =
+        Measured { campaign: campaign.as_ref(), traces: traces.as_ref(), spoon: None };
+    let alone = campaign.is_none() && traces.is_none();
+    let begin = match &spec.shakes {
+        Some(shakes) => {
+            let share = [0.0, if alone { 1.0 } else { REPLAYED }];
+            measured.spoon = Some(judged(host, functions, shakes, share)?);
+            share[1]
+        }
+        None => 0.0,
+    };
     let pourer = Pourer::of(host, &functions.simulate, spec);
     let numerics = match &pourer {
         Some(pourer) => pourer.numerics([0.0, JUDGED[0]])?,
@@ -32,8 +46,8 @@ pub(super) fn perform(
     };
     let [from, until] = if pourer.is_some() { JUDGED } else { [0.0, 1.0] };
     let mut unsaved = None;
-    let report = investigate(campaign.as_ref(), traces.as_ref(), simulator, settings, |progress| {
-        let fraction = from + (until - from) * progress.fraction;
+    let report = investigate(measured, simulator, settings, |progress| {
+        let fraction = begin.max(from + (until - from) * progress.fraction);
         let progress = Progress { fraction, message: progress.message.clone() };
         go_on(host, host.report(&progress), &mut unsaved)
     });
@@ -42,13 +56,15 @@ pub(super) fn perform(
     }
     let mut report =
         report.map_err(|error| JobError::Fail(error.to_string()))?.ok_or(JobError::Stopped)?;
-    let accepted = report.is_worth_a_version();
+    let of_spoon = spoon_version(spec, &report);
+    let of_angles = report.is_worth_a_version();
+    let accepted = of_angles || of_spoon.is_some();
     if let Some(numerics) = numerics {
         tell(&mut report, numerics);
     }
     let version = accepted.then(|| spec.version());
     report.simulator_version.extended.clone_from(&version);
-    let mut extended = match campaign.as_ref().filter(|_| accepted) {
+    let mut extended = match campaign.as_ref().filter(|_| of_angles) {
         Some(of) => extend(of, &responses(of), &report)
             .map_err(|error| JobError::Fail(error.to_string()))?,
         None => None,
@@ -56,13 +72,23 @@ pub(super) fn perform(
     if let (Some(pourer), Some(extended)) = (&pourer, &mut extended) {
         pourer.fit(extended, &mut report, [JUDGED[1], 1.0])?;
     }
+    if let Some(of_spoon) = of_spoon {
+        // Spoonfuls that were left out have verified it.
+        report.simulator_version.verified |= !of_angles;
+        extended = Some(extended.map_or(of_spoon.clone(), |angles| angles.and(of_spoon)));
+    }
     report.read_from(&spec.files);
-    report.simulator_runs = pourer.map_or(0, |pourer| pourer.poured());
+    report.simulator_runs += pourer.map_or(0, |pourer| pourer.poured());
     report.wall_s = began.elapsed().as_secs_f64();
     let body = serde_json::to_string(&Body::of(&report, extended))
         .map_err(|error| JobError::Fail(error.to_string()))?;
     let version = version.as_deref().map(|id| NewVersion { id, base: simulator, body: &body });
     host.finish(&Finished::Investigation { report: &report, version })
+}
+
+/// What the causes of spoonfuls add to the simulator, if any won.
+fn spoon_version(spec: &InvestigationSpec, report: &Report) -> Option<Extended> {
+    spoon::extended(report.spoon.as_ref()?, &spec.shakes.as_ref()?.calibrated)
 }
 
 /// Description stored with a simulator version.

@@ -46,7 +46,7 @@ pub use runner::{
 };
 pub use spec::{
     CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec,
-    ReposeSpec, SIMULATOR, TrainingSpec,
+    ReposeSpec, SIMULATOR, SpoonSpec, TrainingSpec,
 };
 
 use bench::Bench;
@@ -71,6 +71,8 @@ pub struct Functions {
     pub simulate: HeapRunner,
     /// The other experiments.
     pub observe: ObservableRunner,
+    /// Spoonfuls, made again.
+    pub replay: SpoonRunner,
     /// A training.
     pub train: train::Train,
     /// One dose on the simulator, as evaluations weigh it.
@@ -84,6 +86,7 @@ impl Default for Functions {
         Self {
             simulate: heaps_on_cores(flip_sim::repose::repose),
             observe: observables_on_cores(flip_sim::observe::observe),
+            replay: spoons_on_cores(flip_sim::replay::replay),
             train: train::simulated(),
             weigh: Arc::new(evaluate::simulated),
             rig: Arc::new(Simulated),

@@ -1,11 +1,97 @@
 //! The spoonfuls that discovery asks for, replayed on whatever carries out experiments.
 
+use super::Functions;
 use super::heaps::{read, under};
+use super::host::{JobError, JobHost, Result, go_on};
 use super::runner::{HeapExperiment, HeapRunner, SpoonRunner};
+use super::spec::SpoonSpec;
+use super::spoon::simulated;
+use flip_core::domain::job::Progress;
 use flip_core::domain::shake::Spoonful;
-use flip_discover::spoon::{Simulator, SpoonHeap, SpoonReplay};
+use flip_discover::spoon::{Simulator, SpoonHeap, SpoonReplay, SpoonReport, judge_spoon};
 use flip_sim::dispense::Settings;
 use flip_sim::replay::Replay;
+use std::cell::{Cell, RefCell};
+
+/// Replays between two looks at whether the job is to end.
+const BATCH: usize = 16;
+
+/// Judges the spoonfuls of an investigation, in this share of its progress.
+pub(super) fn judged(
+    host: &dyn JobHost,
+    functions: &Functions,
+    spec: &SpoonSpec,
+    share: [f64; 2],
+) -> Result<SpoonReport> {
+    let settings = simulated(&spec.spoon, Settings::default())
+        .map_err(|error| JobError::Fail(error.to_string()))?;
+    let spoons = Spoons {
+        replays: &functions.replay,
+        heaps: &functions.simulate,
+        settings,
+        spoonfuls: &spec.spoonfuls,
+    };
+    let powders = spec.calibrated.len() as u32;
+    let watched = Watched {
+        spoons,
+        host,
+        most: spec.settings.replays.saturating_mul(powders),
+        share,
+        replayed: Cell::default(),
+        unsaved: RefCell::default(),
+    };
+    let report = judge_spoon(&spec.spoonfuls, &spec.calibrated, &spec.settings, &watched);
+    match watched.unsaved.take() {
+        Some(error) => Err(error),
+        None if host.flow().is_break() => Err(JobError::Stopped),
+        None => report.map_err(|error| JobError::Fail(error.to_string())),
+    }
+}
+
+/// Spoons that report progress. Once the job is to end they pour nothing more.
+struct Watched<'a> {
+    spoons: Spoons<'a>,
+    host: &'a dyn JobHost,
+    /// Most replays of the job.
+    most: u32,
+    share: [f64; 2],
+    replayed: Cell<u32>,
+    unsaved: RefCell<Option<JobError>>,
+}
+
+impl Watched<'_> {
+    /// Whether to go on after so many more replays.
+    fn goes_on(&self, more: usize) -> bool {
+        self.replayed.set(self.replayed.get() + more as u32);
+        let (replayed, most) = (self.replayed.get(), self.most.max(1));
+        let done = (f64::from(replayed) / f64::from(most)).min(1.0);
+        let message = format!("spoonful {replayed} of at most {most} replayed");
+        let [from, until] = self.share;
+        let progress = Progress { fraction: from + (until - from) * done, message };
+        let unsaved = &mut *self.unsaved.borrow_mut();
+        unsaved.is_none() && go_on(self.host, self.host.report(&progress), unsaved).is_continue()
+    }
+}
+
+impl Simulator for Watched<'_> {
+    fn pour(&self, replays: &[SpoonReplay]) -> Vec<Option<Vec<f64>>> {
+        let mut all = Vec::with_capacity(replays.len());
+        for batch in replays.chunks(BATCH) {
+            match self.goes_on(batch.len()) {
+                true => all.extend(self.spoons.pour(batch)),
+                false => all.extend(batch.iter().map(|_| None)),
+            }
+        }
+        all
+    }
+
+    fn heaps(&self, heaps: &[SpoonHeap]) -> Vec<Option<f64>> {
+        match self.goes_on(0) {
+            true => self.spoons.heaps(heaps),
+            false => vec![None; heaps.len()],
+        }
+    }
+}
 
 /// The simulator as the spoon channel asks it.
 pub struct Spoons<'a> {

@@ -9,6 +9,7 @@
 //! |---|---|---|
 //! | 2 | `substep_us` of an evaluation's conditions | the usual substep, 80 us |
 //! | 2 | `fixed` of a calibration's settings | all nine parameters are searched |
+//! | 2 | `shakes` of an investigation | no spoon is judged |
 
 use super::conditions::Conditions;
 use flip_bench::hardware::stand::Procedure;
@@ -19,7 +20,10 @@ use flip_core::domain::job::JobKind;
 use flip_core::domain::observable::Observation;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Flowability;
+use flip_core::domain::shake::Spoonful;
+use flip_core::domain::spoon::Spoon;
 use flip_discover::reading::FileRead;
+use flip_discover::spoon::{Calibrated, Settings as SpoonSettings};
 use flip_discover::traces::Traces;
 use flip_discover::{self as discover, Campaign, FitSet};
 use flip_learn::calibrate;
@@ -176,6 +180,9 @@ pub struct InvestigationSpec {
     /// keeps its text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traces: Option<Traces>,
+    /// Shakes of weighings; omitted if there are none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shakes: Option<SpoonSpec>,
     /// How it is judged.
     pub settings: discover::Settings,
     /// Heaps that it may simulate; none: no simulations.
@@ -189,6 +196,20 @@ pub struct InvestigationSpec {
     pub method: u32,
     /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
+}
+
+/// The shakes of an investigation, and what they are judged with.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SpoonSpec {
+    /// What was weighed.
+    pub spoonfuls: Vec<Spoonful>,
+    /// What calibration says of the powders.
+    pub calibrated: Vec<Calibrated>,
+    /// How it is judged.
+    pub settings: SpoonSettings,
+    /// The spoon of the bench.
+    #[serde(default, skip_serializing_if = "Spoon::is_usual")]
+    pub spoon: Spoon,
 }
 
 /// What an investigation simulates.
@@ -258,6 +279,7 @@ impl JobSpec {
         let is_new = match self {
             Self::Evaluation(spec) => spec.conditions.substep_us.is_some(),
             Self::Calibration(spec) => !spec.settings.fixed.is_empty(),
+            Self::Investigation(spec) => spec.shakes.is_some(),
             _ => false,
         };
         if is_new { VERSION } else { unnumbered() }
@@ -305,6 +327,15 @@ mod tests {
                 JobSpec::Calibration(spec) => {
                     spec.settings.fixed.insert("gravity_scale".to_owned(), 1.0);
                     "\"fixed\":{\"gravity_scale\":1.0}"
+                }
+                JobSpec::Investigation(spec) => {
+                    spec.shakes = Some(SpoonSpec {
+                        spoonfuls: Vec::new(),
+                        calibrated: Vec::new(),
+                        settings: SpoonSettings::default(),
+                        spoon: Spoon::default(),
+                    });
+                    "\"shakes\":{"
                 }
                 _ => continue,
             };

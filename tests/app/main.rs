@@ -11,6 +11,7 @@ mod ledger;
 mod limits;
 mod registry;
 mod simulator;
+mod spoons;
 mod training;
 mod vials;
 mod weighing;

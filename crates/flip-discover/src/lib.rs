@@ -58,7 +58,7 @@ pub use extend::claimed::extend;
 pub use extend::extension::{self, Extended, FitSet};
 pub use extend::fit::{FitHeap, fit};
 pub use investigate::angles::predict;
-pub use investigate::{investigate, numerics};
+pub use investigate::{Measured, investigate, numerics};
 pub use judge::posterior::Predicted;
 pub use judge::screen::{Judged, Screening, Settings, screen};
 pub use report::printed::is_told;

@@ -13,7 +13,7 @@
 
 use anyhow::Context;
 use flip_discover::report::Report;
-use flip_discover::{Campaign, Covariate, Run, Settings, Values, investigate};
+use flip_discover::{Campaign, Covariate, Measured, Run, Settings, Values, investigate};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -149,8 +149,8 @@ fn campaign(
 
 fn print(campaign: &Campaign, unit: &str) -> anyhow::Result<()> {
     let heard = |_: &_| ControlFlow::Continue(());
-    let report =
-        investigate(Some(campaign), None, "none", &SETTINGS, heard)?.context("it was stopped")?;
+    let report = investigate(Measured::angles(campaign), "none", &SETTINGS, heard)?
+        .context("it was stopped")?;
     let Report {
         verdict,
         p_value,

@@ -209,7 +209,7 @@ same_fields! {
         ci95_upper_mg: s.ci95[1],
     }
     i: app::Investigation => Investigation {
-        powders runs sessions weighings covariates simulations budget_runs seed simulator p_value sentence
+        powders runs sessions weighings spoonfuls covariates simulations budget_runs seed simulator p_value sentence
     } {
         job: Some(i.job.into()),
         verdict: i.verdict.map(|verdict| proto::Verdict::from(verdict).into()),

@@ -2,8 +2,10 @@
 
 use super::convert::{all, named, page};
 use super::proto::*;
+use super::shakes::bench_kind;
 use super::{Service, read, write};
-use crate::app::InvestigationRequest;
+use crate::api::problem::Problem;
+use crate::app::{self, InvestigationRequest};
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -19,11 +21,23 @@ impl investigations_server::Investigations for Service {
             simulations,
             seed,
             budget_runs,
+            shakes_csv,
+            shakes,
+            budget_replays,
         } = write(request)?;
+        let shakes = shakes.map(|StoredShakes { powder, lot, bench }| {
+            let bench =
+                bench.as_deref().map(|name| bench_kind("shakes.bench", name)).transpose()?;
+            Ok::<_, Problem>(app::StoredShakes { powder, lot, bench })
+        });
+        let shakes = shakes.transpose()?;
         let dates = named::<DateOrder, _>("dates", dates.unwrap_or_default())?;
         let request = InvestigationRequest {
             measurements_csv,
             traces_csv,
+            shakes_csv,
+            shakes,
+            budget_replays,
             dates,
             simulations,
             budget_runs,

@@ -17,7 +17,7 @@ impl shakes_server::Shakes for Service {
         request: Request<ListShakesRequest>,
     ) -> Result<Response<ListShakesResponse>, Status> {
         let request = read(request)?;
-        let bench = request.bench.as_deref().map(bench_kind).transpose()?;
+        let bench = request.bench.as_deref().map(|name| bench_kind("bench", name)).transpose()?;
         let wanted = ShakesWanted { powder: request.powder, lot: request.lot, bench };
         let found = self.app.list_shakes(&wanted, page(request.page)).await?;
         Ok(Response::new(ListShakesResponse { items: all(found.items), next: found.next }))
@@ -56,13 +56,14 @@ impl shakes_server::Shakes for Service {
 }
 
 /// The bench with this name.
-fn bench_kind(name: &str) -> Result<BenchKind, Problem> {
+/// The kind of bench of this name.
+pub(super) fn bench_kind(field: &str, name: &str) -> Result<BenchKind, Problem> {
     let known = [BenchKind::Simulated, BenchKind::Emulated, BenchKind::Devices];
     let advice = || {
         let message = format!("must be simulated, emulated or devices, got `{name}`");
-        Problem::from(FieldError::new("bench", message))
+        Problem::from(FieldError::new(field, message))
     };
-    known.into_iter().find(|kind| super::convert::bench_kind(*kind) == name).ok_or_else(advice)
+    known.into_iter().find(|kind| kind.name() == name).ok_or_else(advice)
 }
 
 impl From<app::KeptSpoonful> for KeptSpoonful {

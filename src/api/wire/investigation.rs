@@ -1,6 +1,6 @@
 //! Investigations of measured data.
 
-use super::{Job, Report, Verdict};
+use super::{BenchKind, Job, Report, Verdict};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 #[serde(deny_unknown_fields)]
 pub struct InvestigationRequest {
     /// The runs as CSV text, one per row; default every stored measurement of an angle of repose,
-    /// or none if `traces_csv` is given.
+    /// or none if `traces_csv` or shakes are given.
     ///
     /// Columns: `powder` (id or name) and `repose_deg`; with `repose_sd_deg` and `n`, the row is a
     /// summary of n runs. Conditions: `session` (the day), `order_in_session`, `method` (camera,
@@ -29,6 +29,14 @@ pub struct InvestigationRequest {
     /// control log `zero` (empty pan) or `standard` (a standard mass). Formats and limits are those
     /// of `measurements_csv`.
     pub traces_csv: Option<String>,
+    /// Shakes of weighings as CSV text, one per row, in the format of `/v1/shakes.csv`; default
+    /// none. They are compared with what the calibrated simulator lets fall in the same steps.
+    pub shakes_csv: Option<String>,
+    /// Stored shakes of weighings in place of a file; default none.
+    pub shakes: Option<StoredShakes>,
+    /// Maximum spoonfuls of each powder to replay, 100 to 100000 or a little less; default 600.
+    /// Where nothing is wrong a third of them are.
+    pub budget_replays: Option<u32>,
     /// Order of dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`;
     /// needed where the column is ambiguous.
     pub dates: Option<DateOrder>,
@@ -43,8 +51,24 @@ pub struct InvestigationRequest {
 }
 
 request! { InvestigationRequest => app::InvestigationRequest {
-    measurements_csv, traces_csv, dates, simulations, budget_runs, seed,
+    measurements_csv, traces_csv, shakes_csv, shakes, budget_replays, dates, simulations,
+    budget_runs, seed,
 } }
+
+/// Which stored shakes to judge. Empty: all.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StoredShakes {
+    /// Only of this powder.
+    pub powder: Option<String>,
+    /// Only of this lot.
+    pub lot: Option<String>,
+    /// Only of weighings on this kind of bench, and imported ones; needed where shakes of several
+    /// kinds are stored.
+    pub bench: Option<BenchKind>,
+}
+
+request! { StoredShakes => app::StoredShakes { powder, lot, bench } }
 
 /// An investigation: its job, its data, and its findings once it has succeeded.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -60,6 +84,9 @@ pub struct Investigation {
     /// Weighings whose balance readings it uses, including controls.
     #[serde(default)]
     pub weighings: u32,
+    /// Spoonfuls whose shakes it judges.
+    #[serde(default)]
+    pub spoonfuls: u32,
     /// Recorded conditions. The report's `files` lists the columns left out, and why.
     pub covariates: Vec<String>,
     /// Number of null campaigns, in which nothing is wrong, that it compares with.
@@ -82,7 +109,7 @@ pub struct Investigation {
 }
 
 answer! { app::Investigation => Investigation {
-    job, powders, runs, sessions, weighings, covariates, simulations, budget_runs, seed, simulator,
+    job, powders, runs, sessions, weighings, spoonfuls, covariates, simulations, budget_runs, seed, simulator,
     verdict, p_value, sentence, report,
 } }
 

@@ -2,6 +2,7 @@
 
 use super::Named;
 use super::words::{column_with_unit, num, percent, shortened};
+use flip_discover::report::spoon::{CourseReport, StepReport};
 use flip_discover::report::{Curve, NullCheck, Report, Row};
 use maud::{Markup, html};
 
@@ -186,6 +187,41 @@ fn names(levels: &[String], room: f64) -> Vec<(f64, String)> {
         .step_by(every)
         .map(|(k, name)| (k as f64, shortened(name, letters)))
         .collect()
+}
+
+/// What had fallen after each step of a spoonful, by the balance and in replays.
+pub fn course(of: &CourseReport, caption: &str) -> Markup {
+    const HEIGHT: f64 = 200.0;
+    let bottom = HEIGHT - BELOW;
+    let steps = &of.steps;
+    let masses = steps.iter().flat_map(|it| [it.weighed_mg, it.band90_mg[0], it.band90_mg[1]]);
+    let y = Scale::over(masses.chain([0.0]), bottom, EDGE);
+    let x = Scale::over([1.0, steps.len() as f64], LEFT, WIDTH - EDGE);
+    let place = |k: usize, mg: f64| format!("{:.1} {:.1}", x.at((k + 1) as f64), y.at(mg));
+    let path = |mg: &dyn Fn(&StepReport) -> f64| {
+        let all = steps.iter().enumerate().map(|(k, it)| place(k, mg(it)));
+        format!("M{}", all.collect::<Vec<_>>().join("L"))
+    };
+    let back = steps.iter().enumerate().rev().map(|(k, it)| place(k, it.band90_mg[0]));
+    let band = format!("{}L{}Z", path(&|it| it.band90_mg[1]), back.collect::<Vec<_>>().join("L"));
+    let last = steps.last().map_or([0.0; 2], |it| [it.weighed_mg, it.simulated_mg]);
+    let summary = format!(
+        "{caption}: {} mg weighed in the end, {} mg simulated",
+        num(last[0], 1),
+        num(last[1], 1)
+    );
+    let drawing = html! {
+        (upright(&y, WIDTH - EDGE, "Fallen, mg"))
+        @if !steps.is_empty() {
+            path.band d=(band) {}
+            path.course d=(path(&|it| it.simulated_mg)) {}
+        }
+        @for (k, it) in steps.iter().enumerate() {
+            (mark(0, x.at((k + 1) as f64), y.at(it.weighed_mg)))
+        }
+        (level(&x, &x.ticks(8.0), bottom, "Step"))
+    };
+    figure(caption, &summary, HEIGHT, &drawing)
 }
 
 /// Residuals of the original simulator over one covariate, with the curve of the extended one and

@@ -19,6 +19,11 @@ pub fn meaning(report: &Report) -> String {
             "These angles can show neither that the simulation is wrong nor that it is right."
                 .to_owned()
         }
+        Verdict::NoDiscrepancy if report.rows.is_empty() && report.spoon.is_some() => {
+            "These spoonfuls do not show that the simulated spoon is wrong. That does not prove it \
+             right: what stays within the bands below cannot be seen."
+                .to_owned()
+        }
         Verdict::NoDiscrepancy => {
             "These data do not show that the simulation is wrong. That does not prove it right: \
              see below which effects this campaign would have found, and which it cannot show."
@@ -60,12 +65,17 @@ fn deviating(report: &Report) -> Vec<String> {
     let has_flow =
         report.beside.iter().any(|it| it.channel == Channel::FlowTime && is_found(it.verdict));
     let creeps = report.causes.iter().any(|it| it.mechanism == CREEP);
-    let has_angles = !(has_traces || has_flow || creeps)
+    let has_spoons = report
+        .spoon
+        .as_ref()
+        .is_some_and(|it| it.powders.iter().any(|powder| is_found(powder.verdict)));
+    let has_angles = !(has_traces || has_flow || has_spoons || creeps)
         || report.findings.iter().any(|it| it.channel == Channel::Repose);
     let parts = [
         (has_angles, "measured angles"),
         (has_flow, "flow times"),
         (has_traces, "balance readings"),
+        (has_spoons, "spoonfuls"),
     ];
     parts.iter().filter(|(deviates, _)| *deviates).map(|(_, what)| (*what).to_owned()).collect()
 }

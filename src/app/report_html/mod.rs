@@ -7,6 +7,7 @@
 //! sections.rs    what stands between them
 //! evidence.rs    how well each cause explains the data
 //! gain.rs        before and after
+//! spoon.rs       what spoons let fall, against replays
 //! traces.rs      what balance readings say by themselves
 //! files.rs       how the files were read
 //! figures.rs     SVG
@@ -24,6 +25,7 @@ mod files;
 mod gain;
 mod meaning;
 mod sections;
+mod spoon;
 mod table;
 mod traces;
 mod words;
@@ -75,6 +77,7 @@ fn sections(report: &Report, headline: &dyn Fn(&str) -> Markup, named: Named) ->
         evidence::evidence(report, named),
         sections::by_powder(report, named),
         sections::beside(report),
+        spoon::spoon(report, named),
         traces::traces(report),
         gain::before_after(report),
         sections::left_out(report),

@@ -45,6 +45,7 @@ fn bare(verdict: Verdict) -> Report {
         numerics: None,
         beside: Vec::new(),
         traces: None,
+        spoon: None,
         files: Vec::new(),
         simulator_runs: 0,
         wall_s: 0.0,

@@ -104,6 +104,11 @@ impl Bench {
         holds_mg(&self.rig.spoon(), sets)
     }
 
+    /// The spoon.
+    pub fn spoon(&self) -> Spoon {
+        self.rig.spoon()
+    }
+
     /// Whether it is FLIP's own spoon, or the capacity of another one was not given.
     pub fn spoon_is_usual(&self) -> bool {
         Spoon { filled_by: FilledBy::default(), ..self.rig.spoon() }.is_usual()

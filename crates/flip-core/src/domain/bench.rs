@@ -20,6 +20,15 @@ impl BenchKind {
     pub fn has_devices(self) -> bool {
         self != Self::Simulated
     }
+
+    /// Its name in JSON and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Simulated => "simulated",
+            Self::Emulated => "emulated",
+            Self::Devices => "devices",
+        }
+    }
 }
 
 /// Largest shake amplitude, mm.

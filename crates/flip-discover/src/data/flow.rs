@@ -26,7 +26,7 @@ mod tests {
     use super::*;
     use crate::data::campaign::{Covariate, Values};
     use crate::report::{Channel, Verdict};
-    use crate::{Responses, Settings, investigate, screen};
+    use crate::{Measured, Responses, Settings, investigate, screen};
     use flip_core::stats::normal;
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
@@ -60,9 +60,10 @@ mod tests {
     #[test]
     fn humid_air_that_slows_the_flow_is_found_where_angles_say_nothing() {
         let slower = |humidity: f64| 0.2 * (humidity - 25.0) / 45.0;
-        let document = investigate(Some(&campaign(1, slower)), None, "base", &SETTINGS, |_| {
-            ControlFlow::Continue(())
-        });
+        let document =
+            investigate(Measured::angles(&campaign(1, slower)), "base", &SETTINGS, |_| {
+                ControlFlow::Continue(())
+            });
         let document = document.unwrap().unwrap();
         let [finding] = &document.findings[..] else { panic!("{document:?}") };
         assert_eq!(

@@ -131,6 +131,16 @@ pub struct Extended {
 }
 
 impl Extended {
+    /// Both together; a powder of both has the angle of the first.
+    #[must_use]
+    pub fn and(mut self, other: Self) -> Self {
+        let is_known = |it: &AtReference| self.powders.iter().any(|own| own.powder == it.powder);
+        let new: Vec<_> = other.powders.into_iter().filter(|it| !is_known(it)).collect();
+        self.extensions.extend(other.extensions);
+        self.powders.extend(new);
+        self
+    }
+
     /// Returns the changes to a powder under these conditions; without a powder, or for one not in
     /// the campaign, those to an average one. Conditions that only correct readings may be left
     /// out.

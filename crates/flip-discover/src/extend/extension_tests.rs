@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::Settings;
-use crate::{Campaign, Covariate, Run, Values, extend, investigate, responses};
+use crate::{Campaign, Covariate, Measured, Run, Values, extend, investigate, responses};
 use flip_core::stats::normal;
 use std::ops::ControlFlow;
 
@@ -195,7 +195,7 @@ fn extended_by(campaign: &Campaign) -> Extended {
     let settings = Settings { seed: 1, simulations: 99 };
     let responses = responses(campaign);
     let report =
-        investigate(Some(campaign), None, "base", &settings, |_| ControlFlow::Continue(()))
+        investigate(Measured::angles(campaign), "base", &settings, |_| ControlFlow::Continue(()))
             .unwrap()
             .unwrap();
     extend(campaign, &responses, &report)

@@ -1,7 +1,8 @@
 //! Adds the results of one channel after another to a document.
 
 use super::side::Heard;
-use crate::report::{CauseReport, Report, Verdict};
+use crate::report::spoon::{PowderReport, SpoonCauseReport, SpoonReport};
+use crate::report::{CauseReport, ParameterReport, Report, Verdict};
 use crate::traces::report::TraceReport;
 
 /// Adds the results of one more channel to a document.
@@ -108,6 +109,56 @@ pub(crate) fn add_traces(document: &mut Report, of_traces: TraceReport) {
         },
     );
     document.traces = Some(channel);
+}
+
+/// Adds what weighings say of the simulated spoon to a document.
+pub(crate) fn add_spoon(document: &mut Report, spoon: SpoonReport) {
+    let verdict = spoon.powders.iter().map(|it| it.verdict).fold(Verdict::NoDiscrepancy, both);
+    let told = spoon.powders.iter().filter(|it| strength(it.verdict) == strength(verdict));
+    let mut causes = Vec::new();
+    let mut ambiguous_between = Vec::new();
+    for powder in told {
+        let first = powder.causes.first().filter(|_| powder.verdict != Verdict::NoDiscrepancy);
+        first.into_iter().for_each(|first| add_cause(&mut causes, of_spoon(powder, first)));
+        ambiguous_between.extend(powder.ambiguous_between.iter().cloned());
+    }
+    document.blind_spots.extend(spoon.blind_spots.iter().cloned());
+    let what = "Spoons";
+    let (sentence, findings, unexplained, experiment) =
+        (spoon.sentence.clone(), Vec::new(), None, None);
+    add(
+        document,
+        Heard {
+            what,
+            verdict,
+            sentence,
+            findings,
+            causes,
+            ambiguous_between,
+            unexplained,
+            experiment,
+        },
+    );
+    document.simulator_runs += spoon.replays + spoon.heaps;
+    document.spoon = Some(spoon);
+}
+
+/// A cause of one powder's spoonfuls: confirmed on spoonfuls left out, or not.
+fn of_spoon(powder: &PowderReport, first: &SpoonCauseReport) -> CauseReport {
+    let is_confirmed = powder.verdict == Verdict::Cause;
+    CauseReport {
+        mechanism: first.cause.name().0.to_owned(),
+        family: first.family.clone(),
+        inclusion_probability: first.probability,
+        confidence_level: if is_confirmed { 2 } else { 1 },
+        parameters: vec![ParameterReport {
+            name: first.cause.name().0.to_owned(),
+            value: first.amplitude,
+            ci95: first.amplitude_ci95,
+            unit: String::new(),
+        }],
+        powders: vec![powder.powder.clone()],
+    }
 }
 
 /// Nothing, a hint, or something.

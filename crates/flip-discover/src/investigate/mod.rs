@@ -1,5 +1,5 @@
-//! Judges angles of repose, flow times and balance readings together: each channel by itself, with
-//! p-values corrected for multiple channels ([`holm`]).
+//! Judges angles of repose, flow times, balance readings and spoons together: each channel by itself,
+//! with p-values corrected for multiple channels ([`holm`]).
 //!
 //! With nothing wrong in any channel, one is found in at most 5 % of investigations; a finding in
 //! one does not cost the others their level again. Scatter of repeats is reported alongside and
@@ -22,6 +22,7 @@ use crate::data::campaign::Campaign;
 use crate::data::flow::flow_times;
 use crate::judge::prepared::Prepared;
 use crate::judge::screen::Settings;
+use crate::report::spoon::SpoonReport;
 use crate::report::{ColumnLeftOut, NullCheck, Report};
 use crate::traces::report::report;
 use crate::traces::{self, TraceScreening, Traces, screen_traces};
@@ -30,7 +31,7 @@ use channel::Channel;
 use flip_core::domain::FieldError;
 use flip_core::domain::job::Progress;
 use holm::{holm, without};
-use merge::{add, add_traces};
+use merge::{add, add_spoon, add_traces};
 use side::heard;
 use std::ops::ControlFlow;
 use steps::{Halt, Steps};
@@ -39,7 +40,34 @@ use steps::{Halt, Steps};
 const TRACES_SHARE: f64 = 0.3;
 const FLOW_SHARE: f64 = 0.2;
 
-/// Investigates a campaign of angles, balance readings of weighings, or both.
+/// What was measured. Nothing by default.
+#[derive(Debug, Clone, Default)]
+pub struct Measured<'a> {
+    /// Angles of repose, and what was recorded with them.
+    pub campaign: Option<&'a Campaign>,
+    /// Balance readings of weighings.
+    pub traces: Option<&'a Traces>,
+    /// What [`judge_spoon`](crate::spoon::judge_spoon) says of weighings, corrected for
+    /// [`Measured::channels`].
+    pub spoon: Option<SpoonReport>,
+}
+
+impl<'a> Measured<'a> {
+    /// Angles alone.
+    pub fn angles(campaign: &'a Campaign) -> Self {
+        Self { campaign: Some(campaign), ..Self::default() }
+    }
+
+    /// Most channels that are judged with these data, a spoon's not included: angles, flow times,
+    /// balance readings.
+    pub fn channels(&self) -> u32 {
+        let has_flow = |campaign: &Campaign| flow_times(campaign).is_some();
+        let of_campaign = self.campaign.map_or(0, |it| 1 + u32::from(has_flow(it)));
+        of_campaign + u32::from(self.traces.is_some())
+    }
+}
+
+/// Investigates whatever was measured.
 ///
 /// | argument | meaning |
 /// |----------|---------|
@@ -48,42 +76,54 @@ const FLOW_SHARE: f64 = 0.2;
 ///
 /// # Errors
 /// A setting out of bounds; a campaign whose runs, or traces whose readings, cannot be judged;
-/// neither of them given.
+/// nothing given.
 pub fn investigate(
-    campaign: Option<&Campaign>,
-    traces: Option<&Traces>,
+    measured: Measured<'_>,
     base: &str,
     settings: &Settings,
     mut on_progress: impl FnMut(&Progress) -> ControlFlow<()>,
 ) -> Result<Option<Report>, FieldError> {
     let settings = settings.checked()?;
     let mut steps = Steps::new(&mut on_progress);
-    let document = match (campaign, traces) {
-        (Some(campaign), traces) => of_campaign(campaign, traces, base, &settings, &mut steps),
-        (None, Some(traces)) => of_traces(traces, base, &settings, &mut steps),
-        (None, None) => {
-            let advice = "or traces are needed: there is nothing to judge";
+    let Measured { campaign, traces, spoon } = measured;
+    let of_spoon = spoon.as_ref().map(|it| it.p_value);
+    let document = match (campaign, traces, of_spoon) {
+        (Some(campaign), traces, _) => {
+            of_campaign(campaign, traces, of_spoon, base, &settings, &mut steps)
+        }
+        (None, Some(traces), _) => of_traces(traces, of_spoon, base, &settings, &mut steps),
+        (None, None, Some(p)) => Ok(Report::blank(base, p, NullCheck::of(&[], f64::NEG_INFINITY))),
+        (None, None, None) => {
+            let advice = "or traces or shakes are needed: there is nothing to judge";
             Err(FieldError::new("measurements", advice).into())
         }
     };
     match document {
-        Ok(document) => Ok(Some(document)),
+        Ok(mut document) => {
+            if let Some(spoon) = spoon {
+                document.p_value = document.p_value.min(spoon.p_value);
+                add_spoon(&mut document, spoon);
+            }
+            Ok(Some(document))
+        }
         Err(Halt::Stopped) => Ok(None),
         Err(Halt::Refused(error)) => Err(error),
     }
 }
 
-/// The document of balance readings alone.
+/// The document of balance readings without angles.
 fn of_traces(
     traces: &Traces,
+    of_spoon: Option<f64>,
     base: &str,
     settings: &Settings,
     steps: &mut Steps<'_>,
 ) -> Result<Report, Halt> {
     let screening = screened(traces, settings, steps)?;
     let null_check = NullCheck::of(&screening.null, screening.statistic);
-    let mut document = Report::blank(base, screening.p_value, null_check);
-    add_traces(&mut document, report(traces, &screening, screening.p_value));
+    let p = holm(screening.p_value, of_spoon.as_slice());
+    let mut document = Report::blank(base, p, null_check);
+    add_traces(&mut document, report(traces, &screening, p));
     Ok(document)
 }
 
@@ -97,10 +137,12 @@ fn screened(
 }
 
 /// The document of a campaign, with balance readings if there are any: every channel is screened by
-/// itself, and concluded by a p-value that is corrected for the others.
+/// itself, and concluded by a p-value that is corrected for the others. `of_spoon` is the spoon's,
+/// which is corrected already and corrected here once more: the document keeps the smaller.
 fn of_campaign(
     campaign: &Campaign,
     traces: Option<&Traces>,
+    of_spoon: Option<f64>,
     base: &str,
     settings: &Settings,
     steps: &mut Steps<'_>,
@@ -129,7 +171,8 @@ fn of_campaign(
     // Readings of which nothing was judged cost the other channels nothing.
     let of_readings = readings.as_ref().map(|it| &it.1).filter(|it| !it.judged.is_empty());
     let of_flow = timed.as_ref().map(|channel| channel.screening.p_value);
-    let others: Vec<f64> = of_readings.map(|it| it.p_value).into_iter().chain(of_flow).collect();
+    let others = of_readings.map(|it| it.p_value).into_iter().chain(of_flow).chain(of_spoon);
+    let others: Vec<f64> = others.collect();
     let corrected = |p: f64| holm(p, &others);
     let responses = responses(&campaign);
     let mut rest = steps.after(done);

@@ -6,6 +6,7 @@ mod null_check;
 mod numerics;
 pub mod printed;
 pub(crate) mod sizes;
+pub mod spoon;
 
 pub use crate::data::campaign::Channel;
 use crate::data::reading::FileRead;
@@ -13,6 +14,7 @@ pub use gain::{Coverage, Gain, HeldOut, LogScore, WeighingGain};
 pub use null_check::NullCheck;
 pub use numerics::{Dependence, FitSet, Numerics, Varied};
 use serde::{Deserialize, Serialize};
+use spoon::SpoonReport;
 
 /// Version of the document; readers refuse versions they do not know.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -65,6 +67,9 @@ pub struct Report {
     /// The result of balance readings by themselves; absent where none were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traces: Option<TraceChannel>,
+    /// What weighings say of the simulated spoon; absent where no shakes were judged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spoon: Option<SpoonReport>,
     /// Every row of the file, before and after.
     pub rows: Vec<Row>,
     /// Course of the residuals over the recorded covariates, for the figures.
@@ -82,7 +87,8 @@ pub struct Report {
 }
 
 impl Report {
-    /// Whether the findings make a better simulator: more than a hint, and better on left-out days.
+    /// Whether the findings on angles make a better simulator: more than a hint, and better on
+    /// left-out days. Those on spoons say so themselves (`spoon::extended`).
     pub fn is_worth_a_version(&self) -> bool {
         self.verdict != Verdict::Hint && self.gain.as_ref().is_some_and(|gain| gain.accepted)
     }
@@ -114,6 +120,7 @@ impl Report {
             null_check,
             beside: Vec::new(),
             traces: None,
+            spoon: None,
             rows: Vec::new(),
             curves: Vec::new(),
             numerics: None,

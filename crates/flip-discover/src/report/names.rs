@@ -39,7 +39,7 @@ const COLUMNS: [(&str, &str); 6] = [
 
 /// Causes whose names differ from the words a chemist would use. Each can be the subject of a
 /// sentence.
-const CAUSES: [(&str, &str); 16] = [
+const CAUSES: [(&str, &str); 23] = [
     ("rest_time", "Consolidation at rest"),
     ("densification", "Densification by shaking"),
     ("humid_ageing", "Ageing at rest in humid air"),
@@ -48,6 +48,13 @@ const CAUSES: [(&str, &str); 16] = [
     ("polydispersity", "Spread of grain sizes"),
     ("rolling_resistance", "Grain shape (rolling resistance)"),
     ("charge", "Electrostatic charge"),
+    ("cohesion", "Attraction between grains"),
+    ("consolidation", "Strengthening of old contacts"),
+    ("stickiness", "Attraction between grains and to the spoon"),
+    ("shape", "Grain shape"),
+    ("size_spread", "Spread of grain sizes"),
+    ("spoon_adhesion", "Adhesion to the spoon"),
+    ("gravity_scale", "Gravity of the calibrated set"),
     ("balance_static", "Charge at the balance"),
     ("spoon_holdup", "Powder held up on the spoon"),
     ("method_bias", "Bias of the measuring method"),

@@ -1,29 +1,10 @@
 //! What is asked of the simulator: spoonfuls made again, and heaps.
 
+pub use crate::report::spoon::Change;
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Flowability;
 use serde::{Deserialize, Serialize};
-
-/// What is changed about a simulated spoonful. Nothing by default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Change {
-    /// Of the powder; holds in heaps and spoons alike.
-    pub patch: Patch,
-    /// Factor on the amplitude of every stroke.
-    pub stroke: f64,
-    /// Factor on what the spoon is filled with.
-    pub fill: f64,
-    /// Added to the Coulomb coefficient of the spoon.
-    pub spoon_friction: f64,
-}
-
-impl Default for Change {
-    fn default() -> Self {
-        Self { patch: Patch::default(), stroke: 1.0, fill: 1.0, spoon_friction: 0.0 }
-    }
-}
 
 /// A spoonful to make again.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,7 +40,7 @@ pub trait Simulator {
 }
 
 /// What calibration says of a powder.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibrated {
     /// Powder, by id.
     pub powder: String,

@@ -22,40 +22,8 @@
 //! measured, as far as friction can.
 
 use super::ask::Change;
+pub use crate::report::spoon::SpoonCause;
 use flip_core::domain::conditions::Patch;
-use serde::{Deserialize, Serialize};
-
-/// A cause of a discrepancy of spoonfuls.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SpoonCause {
-    /// Grains attract each other more than the angle shows.
-    Cohesion,
-    /// Water bridges grains.
-    Humidity,
-    /// Contacts grow stronger with their age.
-    Consolidation,
-    /// What attracts grains to each other attracts them to the spoon as well.
-    Stickiness,
-    /// Grains turn, and resist turning.
-    Shape,
-    /// Grains differ in size.
-    SizeSpread,
-    /// Grains stick to the spoon.
-    SpoonAdhesion,
-    /// Charged grains are attracted by the spoon.
-    Charge,
-    /// A film of grains stays on the spoon.
-    SpoonHoldup,
-    /// The spoon is rougher.
-    SpoonFriction,
-    /// The set has another gravity than the bench.
-    GravityScale,
-    /// Strokes are shorter than recorded.
-    Actuator,
-    /// The spoon holds less than simulated.
-    FillLevel,
-}
 
 /// Number of amplitudes of each cause.
 pub(super) const AMPLITUDES: usize = 3;

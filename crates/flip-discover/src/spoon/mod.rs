@@ -6,7 +6,7 @@
 //! field.rs       the replays of one powder           screen.rs     is anything wrong
 //! evidence.rs    how well each cause explains it     verdict.rs    what may be claimed
 //! held_out.rs    worth on spoonfuls left out         version.rs    an extended simulator
-//! report.rs      the document                        words.rs      its sentences
+//! words.rs       the sentences of its document, which is report/spoon.rs
 //! ```
 //!
 //! Angle and spoon are judged together: a cause that moves the heap's angle is given the friction
@@ -21,7 +21,6 @@ mod evidence;
 mod field;
 mod held_out;
 mod readings;
-pub mod report;
 mod screen;
 mod summaries;
 mod verdict;
@@ -31,9 +30,10 @@ mod words;
 #[cfg(test)]
 mod tests;
 
+pub use crate::report::spoon as report;
+pub use crate::report::spoon::SpoonReport;
 pub use ask::{Calibrated, Change, Simulator, SpoonHeap, SpoonReplay};
 pub use causes::SpoonCause;
-pub use report::SpoonReport;
 pub use version::extended;
 
 use crate::judge::claim::{Proposal, verdict};
@@ -45,12 +45,14 @@ use flip_core::domain::FieldError;
 use flip_core::domain::seed::{derive, index_of};
 use flip_core::domain::shake::Spoonful;
 use flip_core::stats::summary::sd;
-use report::{PowderReport, SpoonExtension};
+use report::{PowderReport, SpoonExtension, Unjudged};
 use screen::Screened;
+use serde::{Deserialize, Serialize};
 use verdict::Judged;
 
 /// How to judge.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Settings {
     /// Seed of replays and their readings.
     pub seed: u64,
@@ -68,6 +70,9 @@ pub struct Settings {
     pub spoonful_sd: f64,
     /// The same between days.
     pub day_sd: f64,
+    /// Channels judged in the same investigation, this one included: p is multiplied by them
+    /// (Bonferroni), since the others are judged later.
+    pub channels: u32,
 }
 
 impl Default for Settings {
@@ -81,6 +86,7 @@ impl Default for Settings {
             causes: SpoonCause::ALL.to_vec(),
             spoonful_sd: 0.1,
             day_sd: 0.1,
+            channels: 1,
         }
     }
 }
@@ -94,10 +100,23 @@ struct Plan<'a> {
 
 /// Fewest spoonfuls of a powder: a mean of one has no scatter between spoonfuls.
 const SPOONFULS_MIN: usize = 2;
-/// Fewest replays that can be significant.
+/// Fewest replays that can be significant, for each channel.
 const CAMPAIGNS_MIN: u32 = 19;
 
 impl Settings {
+    /// The usual settings of an investigation with so many channels: each of them costs replays,
+    /// since p cannot be below one in as many.
+    pub fn among(channels: u32) -> Self {
+        let usual = Self::default();
+        let campaigns = (20 * channels).saturating_sub(1).max(usual.campaigns);
+        Self { channels, campaigns, ..usual }
+    }
+
+    /// Fewest replays for each powder: of two spoonfuls with one set.
+    pub fn replays_min(&self) -> u32 {
+        (self.campaigns_of(1) * SPOONFULS_MIN) as u32
+    }
+
     fn checked(&self) -> Result<(), FieldError> {
         let whole = |name, value: u32, lower, upper| {
             let message = format!("must be from {lower} to {upper}, got {value}");
@@ -107,13 +126,14 @@ impl Settings {
         whole("campaigns", self.campaigns, CAMPAIGNS_MIN, 999)?;
         whole("repeats", self.repeats, 1, 20)?;
         whole("sets", self.sets, 1, 10)?;
+        whole("channels", self.channels, 1, 10)?;
         flip_core::domain::bounded("spoonful_sd", self.spoonful_sd, 0.0, 1.0, "")?;
         flip_core::domain::bounded("day_sd", self.day_sd, 0.0, 1.0, "")?;
-        let least = self.campaigns_of(1) * SPOONFULS_MIN;
+        let least = self.replays_min();
         let message = || {
             format!("must be at least {least} for {SPOONFULS_MIN} spoonfuls, got {}", self.replays)
         };
-        let is_enough = self.replays as usize >= least;
+        let is_enough = self.replays >= least;
         if is_enough { Ok(()) } else { Err(FieldError::new("replays", message())) }
     }
 
@@ -150,11 +170,14 @@ pub fn judge_spoon(
                 field.replay(of, settings, &counted, seed_of(settings, &powder));
                 fields.push((of, field));
             }
-            Err(why) => unjudged.push((powder, why)),
+            Err(why) => unjudged.push(Unjudged { powder, why }),
         }
     }
     keep_common(&mut fields)?;
-    let screened = screen::screen(&fields.iter().map(|it| rows(&it.1)).collect::<Vec<_>>());
+    let mut screened = screen::screen(&fields.iter().map(|it| rows(&it.1)).collect::<Vec<_>>());
+    for it in &mut screened {
+        it.p_corrected = (it.p_corrected * f64::from(settings.channels)).min(1.0);
+    }
     let given = |powder: &str| spoonfuls.iter().filter(|it| it.powder == powder).count();
     let mut reports = Vec::new();
     for ((of, field), screened) in fields.iter_mut().zip(&screened) {
@@ -167,6 +190,7 @@ pub fn judge_spoon(
         blind_spots: words::blind_spots(settings, &reports),
         powders: reports,
         unjudged,
+        campaigns: fields.first().map_or(0, |(_, field)| field.base.len() as u32),
         replays: counted.replays.get(),
         heaps: counted.heaps.get(),
     })
@@ -237,7 +261,7 @@ fn judged(
     screened: &Screened,
     given: usize,
 ) -> PowderReport {
-    let mut report = words::plain(field, plan, screened, given);
+    let mut report = words::unexplained_yet(field, plan, screened, given);
     if screened.p_corrected > SIGNIFICANCE {
         return report;
     }

@@ -255,7 +255,11 @@ fn causes_that_change_the_same_are_not_told_apart() {
             assert!(report.p_value <= 0.05, "{seed}: {}", report.p_value);
             assert!(!(is_wrong && report.verdict == Verdict::Cause), "{cause:?} {seed}: {first:?}");
             let family = &report.families[0];
-            assert!(family.0 == "attraction" && family.1 > 0.7, "{:?}", report.families);
+            assert!(
+                family.family == "attraction" && family.probability > 0.7,
+                "{:?}",
+                report.families
+            );
             if report.verdict == Verdict::Ambiguous {
                 assert!(report.ambiguous_between.len() >= 2, "{:?}", report.ambiguous_between);
             }
@@ -316,7 +320,7 @@ fn what_cannot_be_judged_is_named() {
     both.push(Spoonful { powder: "flour".to_owned(), ..salt[0].clone() });
     let report = judge(&both, &[calibrated("salt", false)], &settings(1));
     assert_eq!(report.powders.len(), 1);
-    assert!(report.unjudged[0].1.contains("not calibrated"), "{:?}", report.unjudged);
+    assert!(report.unjudged[0].why.contains("not calibrated"), "{:?}", report.unjudged);
     // The filling was not weighed in one of them, so it may be the cause; and the budget holds.
     assert!(report.replays <= 900 + 9 && report.heaps == 0, "{}", report.replays);
 }

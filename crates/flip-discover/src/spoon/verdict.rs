@@ -2,8 +2,8 @@
 
 use super::causes::SpoonCause;
 use super::evidence::{Point, Weighed, amplitude};
-use super::report::SpoonCauseReport;
 use crate::judge::claim::Proposal;
+use crate::report::spoon::{FamilyShare, SpoonCauseReport};
 use crate::thresholds::{CERTAIN, CLAIM, LOOK_ALIKE, WORTH_TELLING};
 use nalgebra::DVector;
 
@@ -53,15 +53,18 @@ impl Judged {
     }
 
     /// Probability of each family, most probable first.
-    pub fn families(&self) -> Vec<(String, f64)> {
-        let mut all: Vec<(String, f64)> = Vec::new();
+    pub fn families(&self) -> Vec<FamilyShare> {
+        let mut all: Vec<FamilyShare> = Vec::new();
         for cause in &self.causes {
-            match all.iter_mut().find(|(family, _)| *family == cause.family) {
-                Some((_, probability)) => *probability += cause.probability,
-                None => all.push((cause.family.clone(), cause.probability)),
+            match all.iter_mut().find(|it| it.family == cause.family) {
+                Some(it) => it.probability += cause.probability,
+                None => all.push(FamilyShare {
+                    family: cause.family.clone(),
+                    probability: cause.probability,
+                }),
             }
         }
-        all.sort_by(|a, b| b.1.total_cmp(&a.1));
+        all.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         all
     }
 }

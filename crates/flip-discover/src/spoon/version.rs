@@ -1,9 +1,9 @@
 //! From the causes found to an extended simulator: constants of the powders that show them.
 
 use super::ask::Calibrated;
-use super::report::{PowderReport, SpoonExtension, SpoonReport};
 use crate::extend::extension::{AtReference, Extended, Extension, Form, Hook, OnPowder};
 use crate::report::ParameterReport;
+use crate::report::spoon::{PowderReport, SpoonExtension, SpoonReport};
 
 /// The extended simulator; `None` where no cause of a powder was found. Causes of the bench
 /// (strokes, filling, the spoon's friction) are corrected in its settings, not in the simulator.

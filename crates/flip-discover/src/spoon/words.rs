@@ -1,16 +1,16 @@
 //! The tables and sentences of the document.
 
 use super::field::{Fell, Field};
-use super::report::{CourseReport, PowderReport, StepReport, SummaryRow};
 use super::screen::Screened;
 use super::summaries::{Frame, onset_deg, total};
 use super::{Plan, Settings};
-use crate::report::Verdict;
+use crate::report::spoon::{CourseReport, PowderReport, StepReport, SummaryRow};
+use crate::report::{Verdict, names};
 use flip_core::domain::shake::Spoonful;
 use flip_core::stats::summary::mean;
 
 /// A powder before causes are tried.
-pub(super) fn plain(
+pub(super) fn unexplained_yet(
     field: &Field<'_>,
     plan: &Plan<'_>,
     screened: &Screened,
@@ -149,21 +149,27 @@ pub(super) fn sentence(report: &PowderReport, is_proposed: bool) -> String {
         }
         (Verdict::Cause, Some(first)) => format!(
             "{} ({:.0} %), amplitude {:.2} [{:.2}, {:.2}]",
-            first.cause.name().0,
+            plain(first.cause.name().0),
             100.0 * first.probability,
             first.amplitude,
             first.amplitude_ci95[0],
             first.amplitude_ci95[1]
         ),
         (Verdict::Hint, Some(first)) => {
-            format!("perhaps {}: {}", first.cause.name().0, first.experiment)
+            format!("perhaps {}: {}", plain(first.cause.name().0), first.experiment)
         }
         (Verdict::Ambiguous, Some(first)) => {
-            format!("{}; {}", report.ambiguous_between.join(" or "), first.experiment)
+            let open: Vec<String> = report.ambiguous_between.iter().map(|it| plain(it)).collect();
+            format!("{}; {}", open.join(" or "), first.experiment)
         }
         _ => "no cause of the catalogue explains it".to_owned(),
     };
     format!("{masses}: {why}{}.", gained(report)).replace("..", ".")
+}
+
+/// A cause in the middle of a sentence.
+fn plain(cause: &str) -> String {
+    names::lower(&names::cause(cause))
 }
 
 fn gained(report: &PowderReport) -> String {

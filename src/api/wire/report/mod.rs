@@ -3,10 +3,12 @@
 mod gain;
 mod numerics;
 mod reading;
+mod spoon;
 
 pub use gain::*;
 pub use numerics::*;
 pub use reading::*;
+pub use spoon::*;
 
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -60,6 +62,9 @@ pub struct Report {
     /// The result of balance readings by themselves; absent where none were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub traces: Option<TraceChannel>,
+    /// What weighings say of the simulated spoon; absent where no shakes were judged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spoon: Option<SpoonReport>,
     /// Every row of the file, before and after.
     pub rows: Vec<Row>,
     /// Course of the residuals over the recorded covariates, for the figures.
@@ -79,7 +84,7 @@ pub struct Report {
 answer! { flip_discover::report::Report => Report {
     schema_version, sentence, verdict, p_value, findings, causes, ambiguous_between, unexplained,
     suggested_experiment, simulator_version, gain, minimum_detectable, blind_spots, evidence,
-    untestable, left_out, unjudged, null_check, beside, traces, rows, curves, numerics, files,
+    untestable, left_out, unjudged, null_check, beside, traces, spoon, rows, curves, numerics, files,
     simulator_runs, wall_s,
 } }
 

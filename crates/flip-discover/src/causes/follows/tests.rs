@@ -1,7 +1,7 @@
 use super::*;
 use crate::data::campaign::Run;
 use crate::report::{Report, Verdict};
-use crate::{Settings, investigate};
+use crate::{Measured, Settings, investigate};
 use flip_core::stats::normal;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -252,7 +252,7 @@ fn a_typing_error_and_a_summary_do_not_hide_what_follows() {
 
 pub(crate) fn investigated(campaign: &Campaign) -> Report {
     let settings = Settings { seed: 1, simulations: 99 };
-    investigate(Some(campaign), None, "base", &settings, |_| ControlFlow::Continue(()))
+    investigate(Measured::angles(campaign), "base", &settings, |_| ControlFlow::Continue(()))
         .unwrap()
         .unwrap()
 }

@@ -29,9 +29,10 @@ fn is_whole(report: &Report) -> bool {
 fn a_campaign_of_one_to_five_sessions_says_that_it_cannot_be_judged_and_reads_back() {
     let never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
     for sessions in 1..=5 {
-        let report = investigate(Some(&unrecorded(sessions, 7)), None, "base", &SETTINGS, never)
-            .unwrap()
-            .unwrap();
+        let report =
+            investigate(Measured::angles(&unrecorded(sessions, 7)), "base", &SETTINGS, never)
+                .unwrap()
+                .unwrap();
         assert!(is_whole(&report), "{sessions} sessions");
         assert_eq!(
             (report.verdict, report.null_check.statistic, report.p_value),
@@ -46,8 +47,9 @@ fn a_campaign_of_one_to_five_sessions_says_that_it_cannot_be_judged_and_reads_ba
             report.sentence
         );
     }
-    let enough =
-        investigate(Some(&unrecorded(6, 4)), None, "base", &SETTINGS, never).unwrap().unwrap();
+    let enough = investigate(Measured::angles(&unrecorded(6, 4)), "base", &SETTINGS, never)
+        .unwrap()
+        .unwrap();
     assert!(enough.unjudged.is_none() && enough.null_check.is_judged() && is_whole(&enough));
 }
 
@@ -62,7 +64,8 @@ fn powders_that_were_each_measured_on_one_day_cannot_be_judged_and_say_so() {
     campaign.covariates = vec![Covariate { name: "relative_humidity_pct".to_owned(), values }];
     campaign.flow_time_s = campaign.runs.iter().map(|run| run.value).collect();
     let never = |_: &flip_core::domain::job::Progress| std::ops::ControlFlow::Continue(());
-    let report = investigate(Some(&campaign), None, "base", &SETTINGS, never).unwrap().unwrap();
+    let report =
+        investigate(Measured::angles(&campaign), "base", &SETTINGS, never).unwrap().unwrap();
     assert!(report.unjudged.is_some() && is_whole(&report), "{}", report.sentence);
     assert!(report.beside.iter().all(|it| it.null_check.is_judged()), "{:?}", report.beside);
     assert!(

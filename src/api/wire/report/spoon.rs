@@ -1,12 +1,64 @@
-//! The document of what spoonfuls say.
+//! What weighings say of the simulated spoon.
 
-use super::ask::Change;
-use super::causes::SpoonCause;
-use crate::report::Verdict;
-use serde::{Deserialize, Serialize};
+use super::Verdict;
+use crate::api::wire::Patch;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// What is changed about a simulated spoonful. Nothing by default.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Change {
+    /// Of the powder; holds in heaps and spoons alike.
+    pub patch: Patch,
+    /// Factor on the amplitude of every stroke.
+    pub stroke: f64,
+    /// Factor on what the spoon is filled with.
+    pub fill: f64,
+    /// Added to the Coulomb coefficient of the spoon.
+    pub spoon_friction: f64,
+}
+
+answer! { flip_discover::report::spoon::Change => Change { patch, stroke, fill, spoon_friction } }
+
+/// A cause of a discrepancy of spoonfuls.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SpoonCause {
+    /// Grains attract each other more than the angle shows.
+    Cohesion,
+    /// Water bridges grains.
+    Humidity,
+    /// Contacts grow stronger with their age.
+    Consolidation,
+    /// What attracts grains to each other attracts them to the spoon as well.
+    Stickiness,
+    /// Grains turn, and resist turning.
+    Shape,
+    /// Grains differ in size.
+    SizeSpread,
+    /// Grains stick to the spoon.
+    SpoonAdhesion,
+    /// Charged grains are attracted by the spoon.
+    Charge,
+    /// A film of grains stays on the spoon.
+    SpoonHoldup,
+    /// The spoon is rougher.
+    SpoonFriction,
+    /// The set has another gravity than the bench.
+    GravityScale,
+    /// Strokes are shorter than recorded.
+    Actuator,
+    /// The spoon holds less than simulated.
+    FillLevel,
+}
+
+answer! { flip_discover::report::spoon::SpoonCause => enum SpoonCause {
+    Cohesion, Humidity, Consolidation, Stickiness, Shape, SizeSpread, SpoonAdhesion, Charge,
+    SpoonHoldup, SpoonFriction, GravityScale, Actuator, FillLevel,
+} }
 
 /// What weighings say of the simulated spoon.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct SpoonReport {
     /// In plain words, a sentence for each powder.
     pub sentence: String,
@@ -15,8 +67,10 @@ pub struct SpoonReport {
     /// Powder by powder, in the order of their first spoonful.
     pub powders: Vec<PowderReport>,
     /// Powders that were not judged, and why.
-    pub unjudged: Vec<(String, String)>,
-    /// Replayed spoonfuls and poured heaps.
+    pub unjudged: Vec<Unjudged>,
+    /// Replays of all spoonfuls as calibrated: p cannot be below one in as many.
+    pub campaigns: u32,
+    /// Replayed spoonfuls.
     pub replays: u32,
     /// Poured heaps.
     pub heaps: u32,
@@ -24,8 +78,34 @@ pub struct SpoonReport {
     pub blind_spots: Vec<String>,
 }
 
+answer! { flip_discover::report::spoon::SpoonReport => SpoonReport {
+    sentence, p_value, powders, unjudged, campaigns, replays, heaps, blind_spots,
+} }
+
+/// A powder that was not judged.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Unjudged {
+    /// Powder, by id.
+    pub powder: String,
+    /// Why.
+    pub why: String,
+}
+
+answer! { flip_discover::report::spoon::Unjudged => Unjudged { powder, why } }
+
+/// How probable a family of causes is.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct FamilyShare {
+    /// Family within which causes look alike.
+    pub family: String,
+    /// Probability that the cause is of it, if anything is wrong.
+    pub probability: f64,
+}
+
+answer! { flip_discover::report::spoon::FamilyShare => FamilyShare { family, probability } }
+
 /// What the spoonfuls of one powder say.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct PowderReport {
     /// Powder, by id.
     pub powder: String,
@@ -48,7 +128,7 @@ pub struct PowderReport {
     /// Causes, most probable first; empty where nothing was found.
     pub causes: Vec<SpoonCauseReport>,
     /// Probability of each family of causes, most probable first.
-    pub families: Vec<(String, f64)>,
+    pub families: Vec<FamilyShare>,
     /// Probability of a cause that is not in the catalogue.
     pub unknown_probability: f64,
     /// With verdict `ambiguous`: causes that these data cannot distinguish.
@@ -59,8 +139,13 @@ pub struct PowderReport {
     pub extension: Option<SpoonExtension>,
 }
 
+answer! { flip_discover::report::spoon::PowderReport => PowderReport {
+    powder, verdict, sentence, p_value, p_corrected, spoonfuls, sets, summaries, courses,
+    causes, families, unknown_probability, ambiguous_between, gain, extension,
+} }
+
 /// One number of a powder.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct SummaryRow {
     /// `onset`, `total`, `scatter`, or the cell of pitch and stroke of a mean step.
     pub name: String,
@@ -74,8 +159,12 @@ pub struct SummaryRow {
     pub band90: [f64; 2],
 }
 
+answer! { flip_discover::report::spoon::SummaryRow => SummaryRow {
+    name, unit, measured, simulated, band90,
+} }
+
 /// A spoonful, step by step.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct CourseReport {
     /// Id of the weighing.
     pub weighing: String,
@@ -89,8 +178,12 @@ pub struct CourseReport {
     pub after_mg: Option<f64>,
 }
 
+answer! { flip_discover::report::spoon::CourseReport => CourseReport {
+    weighing, spoonful, steps, left_mg, after_mg,
+} }
+
 /// One step: what had fallen at its end.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct StepReport {
     /// Pitch, deg.
     pub pitch_deg: f64,
@@ -104,8 +197,12 @@ pub struct StepReport {
     pub band90_mg: [f64; 2],
 }
 
+answer! { flip_discover::report::spoon::StepReport => StepReport {
+    pitch_deg, shake_mm, weighed_mg, simulated_mg, band90_mg,
+} }
+
 /// A cause.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct SpoonCauseReport {
     /// Which.
     pub cause: SpoonCause,
@@ -129,8 +226,13 @@ pub struct SpoonCauseReport {
     pub experiment: String,
 }
 
+answer! { flip_discover::report::spoon::SpoonCauseReport => SpoonCauseReport {
+    cause, family, probability, log10_evidence, amplitude, amplitude_ci95, effect_mg,
+    effect_ci95_mg, angle_deg, experiment,
+} }
+
 /// The gain of the causes on spoonfuls left out.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct SpoonGain {
     /// What was left out in turn: `session` or `weighing`.
     pub by: String,
@@ -148,8 +250,12 @@ pub struct SpoonGain {
     pub accepted: bool,
 }
 
+answer! { flip_discover::report::spoon::SpoonGain => SpoonGain {
+    by, spoonfuls, error_before_mg, error_after_mg, error_sham_mg, gain_ci95_mg, accepted,
+} }
+
 /// A cause as changes of the simulator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct SpoonExtension {
     /// Which.
     pub cause: SpoonCause,
@@ -158,3 +264,7 @@ pub struct SpoonExtension {
     /// Whether it belongs to the powder; if not, to the bench, whose settings it corrects.
     pub is_of_powder: bool,
 }
+
+answer! { flip_discover::report::spoon::SpoonExtension => SpoonExtension {
+    cause, change, is_of_powder,
+} }
