@@ -1,11 +1,13 @@
 //! Calibrations: from a flowability to parameter sets.
 
 use super::jobs::{corrupt, specification, stored};
+use super::judged_shakes::StoredShakes;
+use super::shake_cells::cells;
 use super::{App, Error, Result};
 use crate::jobs::calibrate::{CalibrationResult, Design, Method, Posterior, Settings};
 use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
 use flip_core::domain::FieldError;
-use flip_core::domain::conditions::{Conditions, Under};
+use flip_core::domain::conditions::{Conditions, Patch, Under};
 use flip_core::domain::job::JobKind;
 use flip_core::domain::observable::Observation;
 use flip_core::domain::powder::Flowability;
@@ -51,6 +53,10 @@ pub struct CalibrationRequest {
     /// Other measurements, up to 8 observations, for the method `emulator`; default those
     /// registered for the powder.
     pub observations: Option<Vec<Observation>>,
+    /// Stored shakes of the powder, in place of observations: angle and spoon are met together, and
+    /// gravity is held at 1 unless `fixed` says otherwise. Default none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shakes: Option<StoredShakes>,
     /// Grains per verification heap, 100 to 100000; default as many as in the other heaps. Not for
     /// the method `sequential`.
     pub verify_particles: Option<u32>,
@@ -105,6 +111,11 @@ impl App {
         };
         let defaults = Settings::of(request.method.unwrap_or(Method::Emulator));
         let particles = request.particles.unwrap_or(defaults.particles);
+        let mut fixed = request.fixed.clone();
+        if request.shakes.is_some() {
+            // No bench has another: a spoon that shows too much or too little would find one.
+            fixed.entry("gravity_scale".to_owned()).or_insert(1.0);
+        }
         let settings = Settings {
             sets: request.sets.unwrap_or(defaults.sets),
             tolerance_deg: request.tolerance_deg.unwrap_or(defaults.tolerance_deg),
@@ -114,18 +125,66 @@ impl App {
             verify_repeats: request.verify_repeats.unwrap_or(defaults.verify_repeats),
             readings: request.readings.unwrap_or(defaults.readings),
             seed: request.seed.unwrap_or(defaults.seed),
-            fixed: request.fixed.clone(),
+            fixed,
             ..defaults
         };
         let trials_max = request.trials_max.unwrap_or_else(|| settings.budget());
         let settings = Settings { trials_max, ..settings }.checked()?;
         let design = (settings.method == Method::Emulator)
             .then(|| Design::with_particles(settings.particles));
-        let observations = self.observations_of(&request, settings.method).await?;
+        let observations = match &request.shakes {
+            None => self.observations_of(&request, settings.method).await?,
+            Some(shakes) => {
+                self.cells_of(&request, shakes, powder.as_deref(), settings.method).await?
+            }
+        };
+        // A version of spoons holds under all conditions, so a spoon is observed with it.
+        let of_spoon = extended.as_ref().filter(|(_, extended)| extended.through().is_empty());
+        let patch = of_spoon.map(|(_, it)| it.at(powder.as_deref(), &Conditions::new()));
+        let patch = patch.transpose().map_err(Error::Invalid)?.unwrap_or_default();
+        let patch = if observations.is_empty() { Patch::default() } else { patch };
         let (under, simulator) = (extended.map(|it| it.0), SIMULATOR.to_owned());
-        let spec =
-            CalibrationSpec { powder, target, observations, settings, design, under, simulator };
+        let spec = CalibrationSpec {
+            powder,
+            target,
+            observations,
+            patch,
+            settings,
+            design,
+            under,
+            simulator,
+        };
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
+    }
+
+    /// The stored shakes of the powder as observations.
+    async fn cells_of(
+        &self,
+        request: &CalibrationRequest,
+        shakes: &StoredShakes,
+        powder: Option<&str>,
+        method: Method,
+    ) -> Result<Vec<Observation>> {
+        let refuse = |message: String| Err(FieldError::new("shakes", message).into());
+        if method != Method::Emulator {
+            return refuse("are for the method `emulator`: choose it, or leave them out".into());
+        }
+        if request.observations.is_some() {
+            return refuse("stand in place of observations: leave one of the two out".into());
+        }
+        let Some(powder) = powder.filter(|_| shakes.powder.is_none()) else {
+            return refuse("are those of the calibration's powder: name it with `powder`".into());
+        };
+        let of_powder = StoredShakes { powder: Some(powder.to_owned()), ..shakes.clone() };
+        let spoonfuls = self.stored_spoonfuls(&of_powder).await?;
+        let cells = cells(&spoonfuls);
+        if cells.is_empty() {
+            return refuse(format!(
+                "of {powder} are too few: {} spoonfuls, and no pitch up to 50 deg with three shakes of a nearly full spoon; weigh more, or leave them out",
+                spoonfuls.len()
+            ));
+        }
+        Ok(cells)
     }
 
     /// Other measurements: those of the request, else those registered.

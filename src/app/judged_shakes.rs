@@ -1,4 +1,4 @@
-//! The shakes that an investigation judges: stored ones, or those of a file, with what calibration
+//! The shakes that an investigation or a calibration uses: stored ones, or those of a file, with what calibration
 //! says of their powders.
 
 use super::check::Check;
@@ -64,7 +64,7 @@ impl App {
                 return Err(FieldError::new("shakes", advice).into());
             }
             (Some(csv), None) => ("shakes_csv", self.of_file(csv).await?),
-            (None, Some(stored)) => ("shakes", self.of_store(stored).await?),
+            (None, Some(stored)) => ("shakes", self.stored_spoonfuls(stored).await?),
         };
         let calibrated = self.calibrated(&spoonfuls).await?;
         let has_sets = |it: &&Spoonful| calibrated.iter().any(|of| of.powder == it.powder);
@@ -92,7 +92,11 @@ impl App {
         Ok(entries.into_iter().map(|it| it.spoonful).collect())
     }
 
-    async fn of_store(&self, stored: &StoredShakes) -> Result<Vec<Spoonful>> {
+    /// The stored spoonfuls asked for.
+    ///
+    /// # Errors
+    /// `Invalid`: shakes of several kinds of bench; `NotFound`: an unknown powder.
+    pub(super) async fn stored_spoonfuls(&self, stored: &StoredShakes) -> Result<Vec<Spoonful>> {
         let StoredShakes { powder, lot, bench } = stored.clone();
         let kept = self.kept_spoonfuls(&ShakesWanted { powder, lot, bench }).await?;
         of_one_kind(&kept)?;

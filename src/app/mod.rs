@@ -35,6 +35,7 @@ mod provable;
 mod readiness;
 pub mod report_html;
 mod repose;
+mod shake_cells;
 mod shake_csv;
 mod shakes;
 mod simulators;

@@ -2,13 +2,14 @@
 
 use super::failure::Failure;
 use super::session::with_app;
+use super::shakes::Bench;
 use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
 use super::{Common, FIRST_PAGE, observe, parameters};
 use crate::app::{
     App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Marginal, Observed,
-    PAPER_LEVELS_DEG, Pair, Posterior,
+    PAPER_LEVELS_DEG, Pair, Posterior, StoredShakes,
 };
 use clap::ValueEnum;
 use flip_core::domain::FieldError;
@@ -51,6 +52,16 @@ pub(super) struct Arguments {
     /// registered for the powder].
     #[arg(long, value_name = "KIND:SETTING=VALUE,...")]
     observation: Vec<String>,
+    /// Use the powder's stored shakes in place of other measurements: angle and spoon are met
+    /// together, and gravity is held at 1 unless `--fix` says otherwise.
+    #[arg(long, requires = "powder", conflicts_with = "observation")]
+    shakes: bool,
+    /// Use only stored shakes of this lot.
+    #[arg(long, requires = "shakes")]
+    lot: Option<String>,
+    /// Use only stored shakes of weighings on this kind of bench, and imported ones.
+    #[arg(long, value_enum, requires = "shakes")]
+    shaken_on: Option<Bench>,
     /// Parameter to hold at a value instead of searching it, as in `gravity_scale=1`; may be
     /// repeated [default: all nine are searched].
     #[arg(long, value_name = "NAME=VALUE")]
@@ -206,6 +217,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let conditions = arguments.extended.conditions()?;
     let fixed = parameters::fixed(&arguments.fix)?;
     let observations = (!typed.is_empty()).then_some(typed);
+    let shakes = arguments.shakes.then(|| StoredShakes {
+        powder: None,
+        lot: arguments.lot.clone(),
+        bench: arguments.shaken_on.map(Bench::kind),
+    });
     let done = with_app(common, async |app| {
         let targets = targets(app, arguments).await?;
         if observations.is_some() && targets.len() > 1 {
@@ -221,6 +237,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
                 (arguments.extended.simulator.clone(), conditions.clone());
             let request = CalibrationRequest {
                 observations: observations.clone(),
+                shakes: shakes.clone(),
                 fixed: fixed.clone(),
                 simulator,
                 conditions,

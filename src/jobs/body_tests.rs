@@ -51,7 +51,7 @@ fn formulas() -> (Functions, Arc<AtomicUsize>) {
             heaps.fetch_add(1, Ordering::SeqCst);
             Ok(heap(set, settings, seed))
         }),
-        observe: observables_on_cores(move |_, set, seed| {
+        observe: observables_on_cores(move |_, set, _, seed| {
             observables.fetch_add(1, Ordering::SeqCst);
             Ok::<_, Refusal>(4.0 - set.friction() - 0.5 * set.cohesion() + 0.02 * noise(seed))
         }),
@@ -66,6 +66,7 @@ fn alone() -> CalibrationSpec {
         powder: Some("sand".into()),
         target: Flowability { repose_deg: 31.4, sd_deg: 1.5, n: 5 },
         observations: Vec::new(),
+        patch: Default::default(),
         settings: Settings { sets: 4, seed: 3, ..Settings::default() },
         design: None,
         under: None,

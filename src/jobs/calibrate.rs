@@ -109,14 +109,11 @@ pub(super) fn perform(
     let shared = spec.design.as_ref();
     let shared =
         shared.map(|design| emulator(host, design, &spec.simulator, &simulator)).transpose()?;
+    let observers = observe::Under { runner: &functions.observe, patch: &spec.patch };
     let (channels, built): (Vec<Channel>, Vec<u32>) = match &shared {
-        Some((emulator, _)) => observe::channels(
-            host,
-            &functions.observe,
-            &spec.observations,
-            emulator,
-            &spec.simulator,
-        )?,
+        Some((emulator, _)) => {
+            observe::channels(host, &observers, &spec.observations, emulator, &spec.simulator)?
+        }
         None => Vec::new(),
     }
     .into_iter()
@@ -141,7 +138,7 @@ pub(super) fn perform(
     let seed = spec.settings.seed;
     let posterior = knowledge.map(|known| Posterior::within(space, known, &target, DRAWS, seed));
     let sets: Vec<ParameterSet> = calibration.sets.iter().map(|set| set.parameters).collect();
-    let observed = observe::look(host, &functions.observe, &channels, &built, &sets, seed)?;
+    let observed = observe::look(host, &observers, &channels, &built, &sets, seed)?;
     finish(host, spec, calibration, shared.map(|(_, used)| used), posterior, observed)
 }
 

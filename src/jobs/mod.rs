@@ -85,7 +85,7 @@ impl Default for Functions {
     fn default() -> Self {
         Self {
             simulate: heaps_on_cores(flip_sim::repose::repose),
-            observe: observables_on_cores(flip_sim::observe::observe),
+            observe: observables_on_cores(flip_sim::observe::observe_under),
             replay: spoons_on_cores(flip_sim::replay::replay),
             train: train::simulated(),
             weigh: Arc::new(evaluate::simulated),

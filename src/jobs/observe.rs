@@ -4,6 +4,7 @@
 use super::calibrate::settled;
 use super::host::{JobError, JobHost, Piece, Result, go_on};
 use super::runner::{ObservableExperiment, ObservableRunner};
+use flip_core::domain::conditions::Patch;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
@@ -48,21 +49,33 @@ pub struct Simulated {
     pub runs: u32,
 }
 
+/// Who simulates, and what a version changes about spoons.
+pub(super) struct Under<'a> {
+    pub runner: &'a ObservableRunner,
+    pub patch: &'a Patch,
+}
+
 const INSTRUMENT: Instrument = Instrument { numbers: observe::numbers, value: observe::value };
 
 /// The emulators of all measurements other than the angle, each with the number of its simulations
 /// that were run now.
 pub(super) fn channels(
     host: &dyn JobHost,
-    simulator: &ObservableRunner,
+    simulator: &Under<'_>,
     observations: &[Observation],
     emulator: &Emulator,
     version: &str,
 ) -> Result<Vec<(Channel, u32)>> {
     let channel = |observation: &Observation| {
         let experiment = observation.observable.experiment();
-        let text = serde_json::to_string(&(version, experiment, emulator.hash(), RUNS))
-            .expect("numbers and text");
+        let text = match simulator.patch.is_none() {
+            true => serde_json::to_string(&(version, experiment, emulator.hash(), RUNS)),
+            false => {
+                let of = (version, experiment, emulator.hash(), RUNS, simulator.patch);
+                serde_json::to_string(&of)
+            }
+        };
+        let text = text.expect("numbers and text");
         let owner = format!("ob-{}", &hex::encode(Sha256::digest(text))[..16]);
         let plan = channel::design(emulator, &INSTRUMENT);
         let (runs, built) = probes(host, simulator, &owner, plan, observation.observable)?;
@@ -79,7 +92,7 @@ pub(super) fn channels(
 /// Checks the sets that a calibration ended with.
 pub(super) fn look(
     host: &dyn JobHost,
-    simulator: &ObservableRunner,
+    simulator: &Under<'_>,
     channels: &[Channel],
     built: &[u32],
     sets: &[ParameterSet],
@@ -119,17 +132,22 @@ pub(super) fn look(
 /// Carries out a plan, reusing stored runs; returns the runs and how many of them are new.
 fn probes(
     host: &dyn JobHost,
-    simulator: &ObservableRunner,
+    simulator: &Under<'_>,
     owner: &str,
     plan: Vec<Probe>,
     observable: Observable,
 ) -> Result<(Vec<Probe>, u32)> {
     let stored = host.probes(owner)?;
     let simulate = |probes: &[Probe]| {
-        let experiment =
-            |of: &Probe| ObservableExperiment { observable, set: of.parameters, seed: of.seed };
+        let patch = || simulator.patch.clone();
+        let experiment = |of: &Probe| ObservableExperiment {
+            observable,
+            set: of.parameters,
+            patch: patch(),
+            seed: of.seed,
+        };
         let experiments: Vec<_> = probes.iter().map(experiment).collect();
-        let runs = simulator.run_all(&experiments).into_iter();
+        let runs = simulator.runner.run_all(&experiments).into_iter();
         runs.map(|run| run.outcome.map_err(|refusal| refusal.to_string())).collect()
     };
     let mut unsaved = None;

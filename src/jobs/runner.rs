@@ -1,6 +1,7 @@
 //! Where experiments are carried out: on this machine's cores, or wherever another [`Runner`] sends
 //! them.
 
+use flip_core::domain::conditions::Patch;
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::replay::{Replay, Replayed};
@@ -76,12 +77,14 @@ pub struct HeapExperiment {
 }
 
 /// Another experiment to simulate.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ObservableExperiment {
     /// What is observed.
     pub observable: Observable,
     /// The powder.
     pub set: ParameterSet,
+    /// What is changed about it and its spoon.
+    pub patch: Patch,
     /// Seed.
     pub seed: u64,
 }
@@ -113,13 +116,16 @@ pub fn heaps_on_cores(
     }))
 }
 
-/// Simulates the other experiments on this machine's cores, each by a function of observable, set
-/// and seed: [`observe`](flip_sim::observe::observe) in the product.
+/// Simulates the other experiments on this machine's cores, each by a function of observable, set,
+/// changes and seed: [`observe`](flip_sim::observe::observe) in the product.
 pub fn observables_on_cores(
-    one: impl Fn(&Observable, &ParameterSet, u64) -> Result<f64, Refusal> + Send + Sync + 'static,
+    one: impl Fn(&Observable, &ParameterSet, &Patch, u64) -> Result<f64, Refusal>
+    + Send
+    + Sync
+    + 'static,
 ) -> ObservableRunner {
-    Arc::new(Cores(move |ObservableExperiment { observable, set, seed }: &ObservableExperiment| {
-        one(observable, set, *seed)
+    Arc::new(Cores(move |of: &ObservableExperiment| {
+        one(&of.observable, &of.set, &of.patch, of.seed)
     }))
 }
 

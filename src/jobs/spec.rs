@@ -9,6 +9,7 @@
 //! |---|---|---|
 //! | 2 | `substep_us` of an evaluation's conditions | the usual substep, 80 us |
 //! | 2 | `fixed` of a calibration's settings | all nine parameters are searched |
+//! | 2 | `patch` of a calibration | spoons are observed as the base simulates them |
 //! | 2 | `shakes` of an investigation | no spoon is judged |
 
 use super::conditions::Conditions;
@@ -100,6 +101,9 @@ pub struct CalibrationSpec {
     /// Other measurements.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub observations: Vec<Observation>,
+    /// What a version changes about spoons: observations of them are simulated with it.
+    #[serde(default, skip_serializing_if = "Patch::is_none")]
+    pub patch: Patch,
     /// Settings of the search.
     pub settings: calibrate::Settings,
     /// Design of the emulator used; none if the method has none.
@@ -278,7 +282,7 @@ impl JobSpec {
     fn version(&self) -> u32 {
         let is_new = match self {
             Self::Evaluation(spec) => spec.conditions.substep_us.is_some(),
-            Self::Calibration(spec) => !spec.settings.fixed.is_empty(),
+            Self::Calibration(spec) => !spec.settings.fixed.is_empty() || !spec.patch.is_none(),
             Self::Investigation(spec) => spec.shakes.is_some(),
             _ => false,
         };

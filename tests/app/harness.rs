@@ -10,6 +10,7 @@ use flip_bench::hardware::DeviceError;
 use flip_bench::rig::{OnEvent, Poured, Pouring, Rig, Simulation, Task};
 use flip_bench::weigh::{Event, Phase};
 use flip_core::domain::bench::{Action, BenchKind, Reading, Tick};
+use flip_core::domain::conditions::Patch;
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::weighing::Outcome;
@@ -48,7 +49,7 @@ pub fn heap(set: &ParameterSet, settings: &repose::Settings, seed: u64) -> Resul
 }
 
 /// An observable, reduced, that falls with friction and cohesion and knows the diameter.
-pub fn observe(_: &Observable, set: &ParameterSet, seed: u64) -> Result<f64, Refusal> {
+pub fn observe(_: &Observable, set: &ParameterSet, _: &Patch, seed: u64) -> Result<f64, Refusal> {
     let noise = (seed % 1000) as f64 / 1000.0 - 0.5;
     Ok(4.0 - set.friction() - 0.5 * set.cohesion()
         + 5.0 * (set.particle_diameter_mm() - 0.27)

@@ -19,6 +19,7 @@ use super::dispense::{self, Dispenser};
 use super::law::GRAVITY;
 use super::repose::{self, Refusal};
 use flip_core::domain::bench::{Action, PitchLimits};
+use flip_core::domain::conditions::Patch;
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
 
@@ -43,12 +44,26 @@ pub fn numbers(set: &ParameterSet) -> [f64; NUMBERS] {
 /// # Errors
 /// [`Refusal`]: a heap without an angle, or a solver that diverged.
 pub fn observe(observable: &Observable, set: &ParameterSet, seed: u64) -> Result<f64, Refusal> {
+    observe_under(observable, set, &Patch::default(), seed)
+}
+
+/// The same with what a version changes about spoons: other observables ignore it. A mechanism that
+/// this simulator lacks was refused where the version was made.
+///
+/// # Errors
+/// As [`observe`].
+pub fn observe_under(
+    observable: &Observable,
+    set: &ParameterSet,
+    patch: &Patch,
+    seed: u64,
+) -> Result<f64, Refusal> {
     match *observable {
         Observable::FlowTime { orifice_mm, .. } => {
             Ok(libm::pow(cup::flow(set, orifice_mm / set.particle_diameter_mm(), seed)?, 0.4))
         }
         Observable::ShakeMass { pitch_deg, shake_mm } => {
-            let grains = shakes(set, pitch_deg, shake_mm, SHAKES, seed)?;
+            let grains = shakes(set, patch, [pitch_deg, shake_mm], SHAKES, seed)?;
             Ok(libm::log1p(grains.iter().sum::<f64>() / f64::from(SHAKES)))
         }
         Observable::DrainedAngle {} => cup::drained_deg(set, seed),
@@ -84,23 +99,26 @@ fn fall_s(set: &ParameterSet) -> f64 {
     (set.particle_diameter_mm() * 1e-3 / (set.gravity_scale() * GRAVITY)).sqrt()
 }
 
-/// Number of grains that fall at each of `count` shakes of a full spoon. Grains that fall while the
+/// Number of grains that fall at each of `count` shakes of a full spoon, at a pitch (deg) and an
+/// amplitude (mm). Grains that fall while the
 /// spoon is pitched are not counted.
 ///
 /// # Errors
 /// [`Refusal`] if the solver diverged.
 pub fn shakes(
     set: &ParameterSet,
-    pitch_deg: f64,
-    shake_mm: f64,
+    patch: &Patch,
+    [pitch_deg, shake_mm]: [f64; 2],
     count: u32,
     seed: u64,
 ) -> Result<Vec<f64>, Refusal> {
+    let usual = dispense::Settings::default();
     let settings = dispense::Settings {
         pitch: PitchLimits { lower_deg: 0.0, upper_deg: 90.0 },
-        ..Default::default()
+        extensions: usual.extensions.patched(patch).unwrap_or(usual.extensions),
+        ..usual
     };
-    let mut spoon = Dispenser::new(set, &settings, seed);
+    let mut spoon = Dispenser::new(&patch.powder(set), &settings, seed);
     let mut act = |incline_change_deg, shake_mm| {
         let poured = spoon.step(Action::once(incline_change_deg, shake_mm));
         match spoon.fault() {
@@ -182,6 +200,11 @@ mod tests {
         assert!(slack + 3.0 < steep && (15.0..45.0).contains(&slack), "{slack} {steep}");
         let shake = |pitch_deg| of(&Observable::ShakeMass { pitch_deg, shake_mm: 4.0 }, &rough);
         assert!(shake(10.0) < shake(30.0), "{} {}", shake(10.0), shake(30.0));
+        let steep = Observable::ShakeMass { pitch_deg: 30.0, shake_mm: 4.0 };
+        let stuck =
+            Patch { amplitudes: [("spoon_adhesion".to_owned(), 6.0)].into(), ..Patch::default() };
+        let held = observe_under(&steep, &rough, &stuck, 1).unwrap();
+        assert!(held < 0.7 * observe(&steep, &rough, 1).unwrap(), "{held}");
         let again = observe(&drained, &smooth, 1).unwrap();
         assert_eq!(slack, again);
     }

@@ -8,6 +8,7 @@
 //! The file has a line for each tilt: `tilt_deg,n_taps,mean_mg_per_tap,sd_mg`. Its taps are those
 //! of a solenoid on an auger's tube, not shakes of a spoon: the shape is compared, not the mass.
 
+use flip_core::domain::conditions::Patch;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_sim::observe::shakes;
@@ -36,9 +37,9 @@ fn main() -> anyhow::Result<()> {
     println!("tilt deg | tap mg   CV | shake mg   CV");
     let (mut taps, mut pours) = (Vec::new(), Vec::new());
     for (tilt_deg, mean, sd) in measured.into_iter().filter(|row| row.0 <= 60.0) {
-        let grains = (0..SPOONS)
-            .into_par_iter()
-            .map(|spoon| shakes(&salt, tilt_deg, SHAKE_MM, SHAKES, derive(1, &[spoon])));
+        let grains = (0..SPOONS).into_par_iter().map(|spoon| {
+            shakes(&salt, &Patch::default(), [tilt_deg, SHAKE_MM], SHAKES, derive(1, &[spoon]))
+        });
         let spoons: Vec<Vec<f64>> = grains.collect::<Result<_, _>>()?;
         let mg: Vec<f64> = spoons
             .concat()

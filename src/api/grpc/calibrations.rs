@@ -2,6 +2,7 @@
 
 use super::convert::{all, conditions, given, named, observation, page};
 use super::proto::*;
+use super::shakes::stored_shakes;
 use super::{Service, read, write};
 use crate::app::CalibrationRequest;
 use tonic::{Request, Response, Status};
@@ -51,6 +52,7 @@ impl calibrations_server::Calibrations for Service {
             readings,
             seed,
             observations: given(observations),
+            shakes: request.shakes.map(stored_shakes).transpose()?,
             verify_particles,
             simulator,
             fixed: request.fixed.into_iter().collect(),

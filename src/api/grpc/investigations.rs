@@ -2,10 +2,9 @@
 
 use super::convert::{all, named, page};
 use super::proto::*;
-use super::shakes::bench_kind;
+use super::shakes::stored_shakes;
 use super::{Service, read, write};
-use crate::api::problem::Problem;
-use crate::app::{self, InvestigationRequest};
+use crate::app::InvestigationRequest;
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -25,12 +24,7 @@ impl investigations_server::Investigations for Service {
             shakes,
             budget_replays,
         } = write(request)?;
-        let shakes = shakes.map(|StoredShakes { powder, lot, bench }| {
-            let bench =
-                bench.as_deref().map(|name| bench_kind("shakes.bench", name)).transpose()?;
-            Ok::<_, Problem>(app::StoredShakes { powder, lot, bench })
-        });
-        let shakes = shakes.transpose()?;
+        let shakes = shakes.map(stored_shakes).transpose()?;
         let dates = named::<DateOrder, _>("dates", dates.unwrap_or_default())?;
         let request = InvestigationRequest {
             measurements_csv,

@@ -56,8 +56,15 @@ impl shakes_server::Shakes for Service {
 }
 
 /// The bench with this name.
+/// Which stored shakes a request means.
+pub(super) fn stored_shakes(asked: StoredShakes) -> Result<app::StoredShakes, Problem> {
+    let StoredShakes { powder, lot, bench } = asked;
+    let bench = bench.as_deref().map(|name| bench_kind("shakes.bench", name)).transpose()?;
+    Ok(app::StoredShakes { powder, lot, bench })
+}
+
 /// The kind of bench of this name.
-pub(super) fn bench_kind(field: &str, name: &str) -> Result<BenchKind, Problem> {
+fn bench_kind(field: &str, name: &str) -> Result<BenchKind, Problem> {
     let known = [BenchKind::Simulated, BenchKind::Emulated, BenchKind::Devices];
     let advice = || {
         let message = format!("must be simulated, emulated or devices, got `{name}`");

@@ -1,6 +1,6 @@
 //! Calibrations, their trials and the parameter sets they found.
 
-use super::{Day, Flowability, Job, Observation, ParameterSetValues, Under};
+use super::{Day, Flowability, Job, Observation, ParameterSetValues, StoredShakes, Under};
 use crate::app;
 use flip_core::domain::parameters::COUNT;
 use serde::{Deserialize, Serialize};
@@ -233,6 +233,10 @@ pub struct CalibrationRequest {
     /// Other measurements, up to 8 observations, for the method `emulator`; default those
     /// registered for the powder.
     pub observations: Option<Vec<Observation>>,
+    /// Stored shakes of the powder, in place of observations: angle and spoon are met together, and
+    /// gravity is held at 1 unless `fixed` says otherwise. Default none.
+    #[serde(default)]
+    pub shakes: Option<StoredShakes>,
     /// Grains per verification heap, 100 to 100000; default as many as in the other heaps. Not for
     /// the method `sequential`.
     pub verify_particles: Option<u32>,
@@ -252,7 +256,7 @@ pub struct CalibrationRequest {
 
 request! { CalibrationRequest => app::CalibrationRequest {
     powder, repose_deg, sd_deg, n, method, sets, tolerance_deg, particles, trials_max,
-    verify_repeats, readings, seed, observations, verify_particles, fixed, simulator, conditions,
+    verify_repeats, readings, seed, observations, shakes, verify_particles, fixed, simulator, conditions,
 } }
 
 /// A calibration: its job, its target, and its result once it has succeeded.
