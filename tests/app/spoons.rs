@@ -9,17 +9,18 @@ use flip::jobs::spoons_on_cores;
 use flip_sim::replay::{Replay, Replayed};
 use std::fmt::Write;
 
-/// A spoon by formula: a powder starts to flow at a pitch that adhesion raises, and gives more
-/// above it.
+/// A spoon by formula: a powder starts to flow at a pitch that adhesion raises, and gives more above
+/// it, unless its grains attract each other.
 fn replay(of: &Replay) -> Replayed {
     let onset_deg = 20.0 + 6.0 * of.settings.extensions.spoon_adhesion;
+    let slope_mg = 0.25 / (1.0 + of.settings.extensions.consolidation);
     let noise = |k: usize| {
         let mixed = (of.seed ^ (k as u64) << 40).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         ((mixed >> 40) as f64 / f64::from(1 << 24) - 0.5) * 0.3
     };
     let fell = |(k, step): (usize, &flip_sim::replay::Step)| {
         let above_deg = (step.pitch_deg - onset_deg).max(0.0);
-        0.25 * above_deg * step.shake_mm / 8.0 * (1.0 + noise(k))
+        slope_mg * above_deg * step.shake_mm / 8.0 * (1.0 + noise(k))
     };
     Replayed {
         filled_mg: 40.0,
@@ -135,7 +136,8 @@ async fn shakes_that_cannot_be_judged_are_refused_by_field() {
     let few = InvestigationRequest { budget_replays: Some(10), ..request(shakes(0.0)) };
     assert!(said(few).await.contains("budget_replays"));
     let unknown = request("weighing,powder,pitch_deg,shake_mm,fell_mg\nw,dust,30,8,1\n".into());
-    assert!(said(unknown).await.contains("row[2].powder"));
+    let unknown = said(unknown).await;
+    assert!(unknown.contains("row[2].powder"), "{unknown}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
