@@ -56,7 +56,7 @@ impl shakes_server::Shakes for Service {
 }
 
 /// The bench with this name.
-fn bench_kind(name: &str) -> Result<BenchKind, Problem> {
+pub(super) fn bench_kind(name: &str) -> Result<BenchKind, Problem> {
     let known = [BenchKind::Simulated, BenchKind::Emulated, BenchKind::Devices];
     let advice = || {
         let message = format!("must be simulated, emulated or devices, got `{name}`");
