@@ -103,7 +103,11 @@ fn dose(weighing: &Weighing) {
         };
     };
     match outcome {
-        Outcome::Within | Outcome::Under | Outcome::Blocked | Outcome::Stopped => {
+        Outcome::Within
+        | Outcome::Under
+        | Outcome::Blocked
+        | Outcome::Stopped
+        | Outcome::Probed => {
             ended!(Level::INFO, weighing, outcome)
         }
         Outcome::Over | Outcome::NotStable | Outcome::Aborted | Outcome::Unknown => {

@@ -20,13 +20,20 @@ impl App {
     /// The certificate of a weighing that has ended.
     ///
     /// # Errors
-    /// `NotFound`; `Conflict` (`weighing_unfinished`).
+    /// `NotFound`; `Conflict` (`weighing_unfinished`, or `not_a_dose` for a probing run).
     pub async fn certificate(&self, id: &str) -> Result<String> {
         let mut detail = self.weighing(id).await?;
         if detail.weighing.outcome.is_none() {
             let advice =
                 format!("weighing {id} has not ended: its certificate can be printed once it has");
             return Err(Error::conflict("weighing_unfinished", advice));
+        }
+        if detail.weighing.asked.probe.is_some() {
+            let advice = format!(
+                "{id} probed a powder and weighed no dose, so there is nothing to certify: GET /v1/powders/{}/card has what it found",
+                detail.weighing.powder
+            );
+            return Err(Error::conflict("not_a_dose", advice));
         }
         let mut record = Recorded::default();
         match self.outcome_on_record(id).await? {
@@ -164,7 +171,7 @@ fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
 fn warnings(weighing: &Weighing) -> Vec<String> {
     let mut all = Vec::new();
     let told = |outcome: Outcome| match outcome {
-        Outcome::Within => None,
+        Outcome::Within | Outcome::Probed => None,
         Outcome::Under => Some("The dose is below the target by more than the tolerance."),
         Outcome::Over => Some("The dose is above the target by more than the tolerance."),
         Outcome::NotStable => Some("The balance did not settle: do not rely on the mass."),

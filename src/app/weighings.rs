@@ -1,5 +1,6 @@
 //! Weighings: checked, committed as intents, then carried out one at a time by the bench.
 
+use super::characterisations::limit_mg;
 use super::check::Check;
 use super::evaluations::unmet;
 use super::trainings::without_sets;
@@ -114,6 +115,20 @@ impl App {
         request: WeighingRequest,
         idempotency_key: &str,
     ) -> Result<(Weighing, bool)> {
+        if request.asked.probe.is_some() {
+            let advice =
+                "must be absent from a weighing: POST /v1/characterisations probes a powder";
+            return Err(FieldError::new("asked.probe", advice).into());
+        }
+        self.commit_request(request, idempotency_key).await
+    }
+
+    /// The same for a request that may ask to probe the powder.
+    pub(super) async fn commit_request(
+        &self,
+        request: WeighingRequest,
+        idempotency_key: &str,
+    ) -> Result<(Weighing, bool)> {
         check_key(idempotency_key)?;
         let request_sha256 =
             Sha256::digest(serde_json::to_vec(&request).map_err(|e| Error::Internal(e.into()))?)
@@ -132,12 +147,11 @@ impl App {
 
     /// Validates a request and makes every choice that it leaves open.
     async fn plan(&self, request: WeighingRequest) -> Result<(WeighRequest, String)> {
-        let (target_mg, tolerance) = masses(&request)?;
-        super::provable::check(
-            target_mg,
-            tolerance,
-            self.jobs_or_refuse()?.bench().readability_mg(),
-        )?;
+        let step_mg = self.jobs_or_refuse()?.bench().readability_mg();
+        let dose = match request.asked.probe {
+            Some(_) => None,
+            None => Some(provable(&request, step_mg)?),
+        };
         check_asked(&request.asked)?;
         if request.asked.on_overdose != OnOverdose::Stop
             && !self.jobs_or_refuse()?.bench().exchanges_vials()
@@ -164,7 +178,11 @@ impl App {
             return Err(Error::conflict("calibration_missing", advice));
         };
         let fills = bench.fills_spoon();
-        if let Some(message) = too_much(target_mg, capacity_mg, &powder, fills) {
+        let probed = request.asked.probe.filter(|_| fills).map_or(1, |probe| probe.spoonfuls);
+        let (target_mg, tolerance) = dose
+            .unwrap_or_else(|| (limit_mg(request.target.value, probed, capacity_mg), (0.0, 0.0)));
+        let too_much = too_much(target_mg, capacity_mg, &powder, fills);
+        if let Some(message) = too_much.filter(|_| dose.is_some()) {
             let own = match bench.kind() == BenchKind::Devices && bench.spoon_is_usual() {
                 true => ", or write what yours holds under [spoon] in the bench file",
                 false => "",
@@ -417,6 +435,13 @@ fn masses(request: &WeighingRequest) -> Result<(f64, (f64, f64))> {
     Ok((target_mg, (request.tolerance.lower * factor, request.tolerance.upper * factor)))
 }
 
+/// Target and tolerances of a dose, mg, that a display with this step can show.
+fn provable(request: &WeighingRequest, step_mg: Option<f64>) -> Result<(f64, (f64, f64))> {
+    let (target_mg, tolerance) = masses(request)?;
+    super::provable::check(target_mg, tolerance, step_mg)?;
+    Ok((target_mg, tolerance))
+}
+
 /// A caller's text for use in a message: short, and without control characters.
 fn shown(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(20).collect()
@@ -434,7 +459,7 @@ fn choose_set(sets: Vec<CalibratedSet>, policy: &Policy, seed: u64) -> String {
 /// Most spoonfuls that a target may take.
 const SPOONFULS_MAX: f64 = 40.0;
 /// Largest target in several spoonfuls, mg.
-const TARGET_MG_MAX: f64 = 1000.0;
+pub(super) const TARGET_MG_MAX: f64 = 1000.0;
 
 /// Why a target is too large for a bench whose spoon holds so much, if it is. `fills`: the bench
 /// fills the spoon by itself, during a dose too.

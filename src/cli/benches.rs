@@ -6,6 +6,7 @@ use crate::telemetry;
 use flip_bench::hardware::bench_file::BenchFile;
 use flip_bench::rig::{Devices, Emulated, Rig, Simulated};
 use flip_core::domain::FieldError;
+use flip_core::domain::bench::BenchKind;
 use flip_core::domain::spoon::{FilledBy, Spoon};
 use std::path::Path;
 use std::sync::Arc;
@@ -23,6 +24,15 @@ impl BenchArguments {
     /// Whether it is a bench file.
     pub(super) fn is_file(&self) -> bool {
         !matches!(self.bench.as_str(), "simulated" | "emulated")
+    }
+
+    /// What kind of bench it is.
+    pub(super) fn kind(&self) -> BenchKind {
+        match self.bench.as_str() {
+            "simulated" => BenchKind::Simulated,
+            "emulated" => BenchKind::Emulated,
+            _ => BenchKind::Devices,
+        }
     }
 
     /// Options for an application with this bench.

@@ -11,6 +11,7 @@ mod backup;
 mod bench;
 mod benches;
 mod calibrate;
+mod characterise;
 mod compare;
 mod config;
 mod demo;
@@ -118,6 +119,8 @@ enum Command {
     Discover(discover::Arguments),
     /// Weigh one dose on the simulator, on emulated devices or on a real bench.
     Weigh(weigh::Arguments),
+    /// Probe a powder on the bench: a few spoonfuls that show how it flows, and the powder's card.
+    Characterise(characterise::Arguments),
     /// Inspect the bench, probe and check its devices, clear it; time the simulator, alone or
     /// against others.
     Bench(bench::Arguments),
@@ -190,6 +193,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Evaluate(arguments) => evaluate::run(common, arguments),
         Command::Policy(arguments) => policy::run(common, arguments),
         Command::Discover(arguments) => discover::run(common, arguments),
+        Command::Characterise(arguments) => characterise::run(common, arguments),
         Command::Weigh(arguments) => weigh::run(common, arguments),
         Command::Bench(arguments) => bench::run(common, arguments),
         Command::Emulate(arguments) => emulate::run(common, arguments),

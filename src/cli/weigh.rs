@@ -108,7 +108,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 
 /// Checks that nothing prevents a dose requested now from starting; prints a notice if the vial on
 /// the pan is not empty.
-async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure> {
+pub(super) async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure> {
     let found = app.bench().await?;
     let in_the_way = |why: String| Err(Failure::Failed(anyhow::anyhow!(why)));
     if let Some(held) = &found.held {
@@ -192,23 +192,31 @@ pub(super) async fn weigh(
 ) -> Result<Weighing, Failure> {
     let (weighing, _) = match app.start_weighing(request.clone(), key).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
-            require_policy(app, request.policy.as_deref()).await?;
-            watch.say(&format!("{message}: calibrating first"));
-            let target = CalibrationTarget::Powder(request.powder.clone());
-            calibrate(
-                app,
-                watch,
-                &[target],
-                None,
-                request.simulator.as_deref(),
-                request.seed.unwrap_or(1),
-            )
-            .await?;
+            let (policy, simulator) = (request.policy.as_deref(), request.simulator.as_deref());
+            let seed = request.seed.unwrap_or(1);
+            calibrate_first(app, watch, &message, &request.powder, policy, simulator, seed).await?;
             app.start_weighing(request, key).await.map_err(in_flags)?
         }
         started => started.map_err(in_flags)?,
     };
     ended(app, &weighing.id, &VialReadyRequest::default()).await
+}
+
+/// Calibrates a powder that is to be weighed or probed, and says why.
+pub(super) async fn calibrate_first(
+    app: &App,
+    watch: &Watch,
+    why: &str,
+    powder: &str,
+    policy: Option<&str>,
+    simulator: Option<&str>,
+    seed: u64,
+) -> Result<(), Failure> {
+    require_policy(app, policy).await?;
+    watch.say(&format!("{why}: calibrating first"));
+    let target = CalibrationTarget::Powder(powder.to_owned());
+    calibrate(app, watch, &[target], None, simulator, seed).await?;
+    Ok(())
 }
 
 /// Waits until the dose has ended; if it waits for its vial, confirms that the vial is in.

@@ -3,7 +3,7 @@
 use crate::harness::{document, expect_status, flip, stderr};
 use serde_json::Value;
 
-const COMMANDS: [&str; 23] = [
+const COMMANDS: [&str; 24] = [
     "serve",
     "demo",
     "repose",
@@ -19,6 +19,7 @@ const COMMANDS: [&str; 23] = [
     "discover",
     "policy",
     "weigh",
+    "characterise",
     "jobs",
     "token",
     "backup",

@@ -12,9 +12,9 @@ export function readingOf(w: Weighing): number | null {
   return ['aborted', 'unknown'].includes(w.outcome ?? w.state) ? null : (w.reading_mg ?? null)
 }
 
-/** How far the reading is from the target, mg. */
+/** How far the reading is from the target, mg; a probing run has none. */
 export function errorOf(w: Weighing): number | null {
-  const reading = ended(w) ? readingOf(w) : null
+  const reading = ended(w) && !w.asked?.probe ? readingOf(w) : null
   return reading === null ? null : reading - w.target_mg
 }
 

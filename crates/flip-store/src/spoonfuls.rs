@@ -75,8 +75,8 @@ macro_rules! weighing_counts {
 }
 
 impl Store {
-    /// Where to find the ticks of a powder's latest doses on such a bench that ran their course, or
-    /// until the spoon was blocked, and still count, newest first; of this lot, if one is given.
+    /// Where to find the ticks of a powder's latest doses and probing runs on such a bench that ran their
+    /// course, or until the spoon was blocked, and still count, newest first; of this lot, if one is given.
     pub async fn traces_of(
         &self,
         powder: &str,
@@ -85,7 +85,7 @@ impl Store {
         count: u32,
     ) -> Result<Vec<String>> {
         let sql = concat!(
-            "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over', 'blocked') \
+            "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over', 'blocked', 'probed') \
              AND trace IS NOT NULL AND (?4 IS NULL OR json_extract(asked, '$.lot') = ?4)",
             weighing_counts!(),
             " ORDER BY seq DESC LIMIT ?3"

@@ -42,7 +42,7 @@ same_names! {
     Method = Method { Automated Manual }
     JobKind = JobKind { Calibration Training Evaluation Investigation Repose }
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
-    Outcome = Outcome { Within Under Over NotStable Blocked Stopped Aborted Unknown }
+    Outcome = Outcome { Within Under Over NotStable Blocked Stopped Aborted Unknown Probed }
     WeighingState = WeighingState { Planned AwaitingVial Armed Dosing Settling Done Aborted Unknown }
     app::VialCheck = VialCheck { Confirm Skip }
     app::CalibrationMethod = CalibrationMethod { Emulator Paper Sequential }
@@ -249,12 +249,6 @@ same_fields! {
         response: s.response.map(Into::into),
     }
     r: StrokeResponse => StrokeResponse { gain offset_mm speed_gain } {}
-    a: app::Asked => Asked { lot vial operator temperature_c relative_humidity_pct accuracy_pct } {
-        retries_max: match a.on_overdose {
-            app::OnOverdose::Stop => 0,
-            app::OnOverdose::DiscardAndRetry { max } => max,
-        },
-    }
     m: app::MeasuredMass => MeasuredMass {
         tare_mg gross_mg net_mg uncertainty_mg minimum_mg below_minimum_weight stable_by_balance stable_by_window
         drift_before_mg_min drift_after_mg_min in_flight_mg discarded_mg zero_mg proven

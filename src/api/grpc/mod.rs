@@ -4,6 +4,7 @@
 pub mod access;
 mod bench;
 mod calibrations;
+mod card;
 mod convert;
 mod evaluations;
 mod health;

@@ -24,6 +24,16 @@ impl powders_server::Powders for Service {
         Ok(Response::new(self.app.powder(&read(request)?.id).await?.into()))
     }
 
+    async fn get_powder_card(
+        &self,
+        request: Request<GetPowderCardRequest>,
+    ) -> Result<Response<PowderCard>, Status> {
+        let GetPowderCardRequest { id, lot, bench } = read(request)?;
+        let bench =
+            bench.as_deref().map(|name| super::shakes::bench_kind("bench", name)).transpose()?;
+        Ok(Response::new(self.app.powder_card(&id, lot.as_deref(), bench).await?.into()))
+    }
+
     async fn create_powder(
         &self,
         request: Request<CreatePowderRequest>,

@@ -55,7 +55,6 @@ impl shakes_server::Shakes for Service {
     }
 }
 
-/// The bench with this name.
 /// Which stored shakes a request means.
 pub(super) fn stored_shakes(asked: StoredShakes) -> Result<app::StoredShakes, Problem> {
     let StoredShakes { powder, lot, bench } = asked;
@@ -64,7 +63,7 @@ pub(super) fn stored_shakes(asked: StoredShakes) -> Result<app::StoredShakes, Pr
 }
 
 /// The kind of bench of this name.
-fn bench_kind(field: &str, name: &str) -> Result<BenchKind, Problem> {
+pub(super) fn bench_kind(field: &str, name: &str) -> Result<BenchKind, Problem> {
     let known = [BenchKind::Simulated, BenchKind::Emulated, BenchKind::Devices];
     let advice = || {
         let message = format!("must be simulated, emulated or devices, got `{name}`");

@@ -33,6 +33,15 @@ impl weighings_server::Weighings for Service {
         Ok(Response::new(StartWeighingResponse { weighing: Some(weighing.into()), replayed }))
     }
 
+    async fn characterise(
+        &self,
+        request: Request<CharacteriseRequest>,
+    ) -> Result<Response<StartWeighingResponse>, Status> {
+        let (request, key) = super::card::asked(write(request)?);
+        let (weighing, replayed) = self.app.characterise(request, &key).await?;
+        Ok(Response::new(StartWeighingResponse { weighing: Some(weighing.into()), replayed }))
+    }
+
     async fn list_weighings(
         &self,
         request: Request<ListWeighingsRequest>,
@@ -86,6 +95,7 @@ fn purpose(asked: Asked) -> app::Asked {
         relative_humidity_pct,
         accuracy_pct,
         retries_max,
+        probe_spoonfuls,
     } = asked;
     let on_overdose = match retries_max {
         0 => app::OnOverdose::Stop,
@@ -99,6 +109,25 @@ fn purpose(asked: Asked) -> app::Asked {
         relative_humidity_pct,
         accuracy_pct,
         on_overdose,
+        probe: probe_spoonfuls.map(|spoonfuls| app::Probe { spoonfuls }),
+    }
+}
+
+impl From<app::Asked> for Asked {
+    fn from(asked: app::Asked) -> Self {
+        Self {
+            lot: asked.lot,
+            vial: asked.vial,
+            operator: asked.operator,
+            temperature_c: asked.temperature_c,
+            relative_humidity_pct: asked.relative_humidity_pct,
+            accuracy_pct: asked.accuracy_pct,
+            retries_max: match asked.on_overdose {
+                app::OnOverdose::Stop => 0,
+                app::OnOverdose::DiscardAndRetry { max } => max,
+            },
+            probe_spoonfuls: asked.probe.map(|probe| probe.spoonfuls),
+        }
     }
 }
 

@@ -4,6 +4,7 @@
 mod audit;
 mod bench;
 mod calibrations;
+mod characterisations;
 mod document;
 mod evaluations;
 mod events;
@@ -47,6 +48,7 @@ fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(document::head())
         .routes(routes!(powders::list_powders, powders::create_powder))
         .routes(routes!(powders::get_powder))
+        .routes(routes!(characterisations::get_card))
         .routes(routes!(measurements::list_measurements, measurements::add_measurement))
         .routes(routes!(measurements::list_observations, measurements::add_observation))
         .routes(routes!(measurements::export_measurements))
@@ -82,6 +84,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(simulators::get_current_simulator, simulators::choose_simulator))
         .routes(routes!(simulators::get_simulator))
         .routes(routes!(weighings::list_weighings, weighings::start_weighing))
+        .routes(routes!(characterisations::characterise))
         .routes(routes!(weighings::get_weighing))
         .routes(routes!(weighings::get_trace))
         .routes(routes!(weighings::download_trace))

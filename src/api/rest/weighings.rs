@@ -49,12 +49,16 @@ pub async fn start_weighing(
 ) -> Result<Response, Problem> {
     // A missing or non-text key is refused like an empty one.
     let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).unwrap_or_default();
-    let (weighing, replayed) = app.start_weighing(request, key).await?;
+    Ok(planned(app.start_weighing(request, key).await?))
+}
+
+/// 202 for a weighing, and whether its key was used before.
+pub(super) fn planned((weighing, replayed): (crate::app::Weighing, bool)) -> Response {
     let mut response = accepted(format!("/v1/weighings/{}", weighing.id), weighing);
     if replayed {
         response.headers_mut().insert("idempotency-replayed", HeaderValue::from_static("true"));
     }
-    Ok(response)
+    response
 }
 
 /// One weighing, with its ticks so far.
@@ -123,7 +127,7 @@ fn csv(ticks: &[bench::Tick]) -> String {
 #[utoipa::path(get, path = "/v1/weighings/{id}/certificate.html", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),
-        (status = 409, description = "It has not ended", body = Problem, content_type = "application/problem+json")))]
+        (status = 409, description = "It has not ended, or it probed a powder", body = Problem, content_type = "application/problem+json")))]
 pub async fn get_certificate(
     _: Viewer,
     State(app): State<App>,

@@ -68,6 +68,7 @@ macro_rules! request {
 mod audit;
 mod bench;
 mod calibration;
+mod card;
 mod evaluation;
 mod investigation;
 mod job;
@@ -85,6 +86,7 @@ mod weighing;
 pub use audit::*;
 pub use bench::*;
 pub use calibration::*;
+pub use card::*;
 pub use evaluation::*;
 pub use investigation::*;
 pub use job::*;

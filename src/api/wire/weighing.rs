@@ -224,14 +224,31 @@ pub struct Asked {
     /// What to do after an overdose.
     #[serde(default)]
     pub on_overdose: OnOverdose,
+    /// Set where the powder was probed, not dosed; refused in a request to weigh.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probe: Option<Probe>,
 }
 
 answer! { flip_core::domain::weighing::Asked => Asked {
     lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, on_overdose,
+    probe,
 } }
 request! { Asked => flip_core::domain::weighing::Asked {
     lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, on_overdose,
+    probe,
 } }
+
+/// Spoonfuls that are shaken to see how a powder flows: no dose is aimed at, and what falls is
+/// discarded. The target of such a weighing is the most that may fall altogether.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Probe {
+    /// Fillings of the spoon, 1 to 9; one where a person fills it.
+    pub spoonfuls: u32,
+}
+
+answer! { flip_core::domain::weighing::Probe => Probe { spoonfuls } }
+request! { Probe => flip_core::domain::weighing::Probe { spoonfuls } }
 
 /// Measured values of a weighing, besides its final reading.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, ToSchema)]
@@ -297,6 +314,8 @@ pub enum Outcome {
     NotStable,
     /// No more powder leaves the spoon.
     Blocked,
+    /// A probing run that ran its course: there is no dose to judge.
+    Probed,
     /// Stopped on request.
     Stopped,
     /// A device failed, or the guard refused to continue.
@@ -306,7 +325,7 @@ pub enum Outcome {
 }
 
 answer! { flip_core::domain::weighing::Outcome => enum Outcome {
-    Within, Under, Over, NotStable, Blocked, Stopped, Aborted, Unknown,
+    Within, Under, Over, NotStable, Blocked, Probed, Stopped, Aborted, Unknown,
 } }
 
 /// State of a weighing.

@@ -101,7 +101,8 @@ impl LaneThread {
             | Outcome::Under
             | Outcome::Over
             | Outcome::NotStable
-            | Outcome::Blocked => WeighingState::Done,
+            | Outcome::Blocked
+            | Outcome::Probed => WeighingState::Done,
             Outcome::Stopped | Outcome::Aborted => WeighingState::Aborted,
             Outcome::Unknown => WeighingState::Unknown,
         };

@@ -6,7 +6,7 @@
 //! `unknown` at the next start, the bench is latched, and a person must check it.
 //!
 //! ```text
-//!  [planned] --> [awaiting_vial] --> [armed] --> [dosing] --> [settling] --> [done]      within, under, over, not_stable, blocked
+//!  [planned] --> [awaiting_vial] --> [armed] --> [dosing] --> [settling] --> [done]      within, under, over, not_stable, blocked, probed
 //!      |                |               |            |             |-------> [aborted]   stopped, aborted
 //!      +----stopped-----+---------------+------------+-------------+
 //!                                       +--process ended-----------+-------> [unknown]   and the bench is latched

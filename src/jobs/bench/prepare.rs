@@ -82,6 +82,7 @@ impl LaneThread {
                 onset_deg: onset_deg(&earlier, readability_mg).filter(|_| hangs > 0.0),
                 spoon_mg: holds_mg(&self.rig.spoon(), std::iter::once(&set.parameters)),
                 pan: self.pan_check(weighing, pan, readability_mg),
+                probe: weighing.asked.probe,
             })
         })
     }

@@ -105,6 +105,14 @@ export async function startWeighing(request: T.WeighingRequest, key: string) {
   return { id: (await body(Promise.resolve(answer))).id, before: answer.response.headers.get('idempotency-replayed') === 'true' }
 }
 
+/** How a powder leaves the spoon, from all its shakes. */
+export const powderCard = (id: string) => body(client.GET('/v1/powders/{id}/card', { params: at(id) }))
+/** Starts a probing run; the id of its weighing. The same key never pours twice. */
+export async function characterise(request: T.CharacterisationRequest, key: string): Promise<string> {
+  const answer = client.POST('/v1/characterisations', { params: { header: { 'Idempotency-Key': key } }, body: request, signal: AbortSignal.timeout(WEIGHING_MS) })
+  return (await body(answer)).id
+}
+
 /** A person confirms the vial that a dose is waiting for. */
 export const vialReady = (id: string, said: T.VialReadyRequest) => body(client.POST('/v1/weighings/{id}/vial-ready', { params: at(id), body: said }))
 

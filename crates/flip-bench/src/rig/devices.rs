@@ -155,6 +155,7 @@ pub(super) fn dose(
         hangs: pouring.hangs,
         onset_deg,
         spoon_mg,
+        probe: pouring.probe,
         ..Settings::for_target(task.order.target_mg, spoon_mg)
     };
     let weighed =

@@ -5,6 +5,7 @@ use crate::weigh::{self, Accuracy, Order};
 use flip_core::domain::bench_check::ShakeCalibration;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::vial::PanCheck;
+use flip_core::domain::weighing::Probe;
 use flip_policy::{Controller, Rules};
 use flip_sim::{balance, dispense};
 
@@ -68,4 +69,6 @@ pub struct Pouring {
     pub spoon_mg: Option<f64>,
     /// The check of the display before anything moves.
     pub pan: PanCheck,
+    /// Probe the powder instead of dosing it.
+    pub probe: Option<Probe>,
 }

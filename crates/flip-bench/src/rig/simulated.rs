@@ -6,6 +6,7 @@ use crate::hardware::simulated::SimulatedBench;
 use crate::weigh::{Settings, weigh};
 use flip_core::domain::apparatus::Stroke;
 use flip_core::domain::bench::{BenchKind, SHAKE_MM_MAX};
+use flip_core::domain::weighing::Probe;
 use flip_sim::balance;
 use std::sync::atomic::AtomicBool;
 
@@ -23,7 +24,7 @@ impl Rig for Simulated {
     }
 
     fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
-        simulate(&pouring.task, &pouring.simulation, on_event, stop)
+        carry_out(&pouring.task, &pouring.simulation, pouring.probe, on_event, stop)
     }
 
     /// The flag is enough: no motion takes time.
@@ -43,10 +44,20 @@ pub fn simulate(
     on_event: OnEvent<'_>,
     stop: &AtomicBool,
 ) -> Poured {
+    carry_out(task, simulation, None, on_event, stop)
+}
+
+fn carry_out(
+    task: &Task,
+    simulation: &Simulation,
+    probe: Option<Probe>,
+    on_event: OnEvent<'_>,
+    stop: &AtomicBool,
+) -> Poured {
     let Simulation { set, balance, seed, .. } = simulation;
     let spoon = simulation.spoon_for(&task.rules);
     let mut bench = SimulatedBench::new(set, &spoon, balance, *seed);
-    let settings = Settings { accuracy: task.accuracy, ..Settings::EPISODE };
+    let settings = Settings { accuracy: task.accuracy, probe, ..Settings::EPISODE };
     let Task { controller, rules, order, .. } = task;
     let weighed = weigh(&mut bench, controller, rules, order, &settings, on_event, stop);
     // A simulated spoon makes the strokes that it is asked for.

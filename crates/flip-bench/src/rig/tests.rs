@@ -87,6 +87,7 @@ fn pouring() -> Pouring {
         onset_deg: None,
         spoon_mg: None,
         pan: PanCheck::NONE,
+        probe: None,
     }
 }
 

@@ -62,11 +62,11 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             let said = std::slice::from_ref(&course.falls);
             limits.forecast =
                 limits.forecast.map(|prior| prior.informed(said, limits.readability_mg));
-            self.refill(&mut course)?;
+            self.refill(&mut course, ladder::REFILL)?;
         }
     }
 
-    fn limits(&self, rules: &Rules, reach: &Reach) -> Limits {
+    pub(super) fn limits(&self, rules: &Rules, reach: &Reach) -> Limits {
         let usual = Limits::new(rules.pitch, rules.steps_max);
         let usual = if self.settings.strict { usual } else { usual.lenient() };
         let readability_mg = self.order.readability_mg;
@@ -83,7 +83,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     }
 
     /// The reading after the tare.
-    fn set_out(&mut self) -> Result<Course, Halted> {
+    pub(super) fn set_out(&mut self) -> Result<Course, Halted> {
         let tared_s = self.bench.elapsed_s();
         let first = self.bench.read()?;
         let now = self.net(first);
@@ -155,7 +155,11 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
 
     /// Looks closer at a reading that would end the dose, or that went back to zero; returns
     /// whether the reading needs no closer look.
-    fn look_if_it_ends(&mut self, rules: &Rules, course: &mut Course) -> Result<bool, Halted> {
+    pub(super) fn look_if_it_ends(
+        &mut self,
+        rules: &Rules,
+        course: &mut Course,
+    ) -> Result<bool, Halted> {
         let readability_mg = self.order.readability_mg;
         let is_sure = !self.looks_closer() || !course.now.stable;
         let is_zeroed = closer::is_zeroed(course.before, course.now, readability_mg);

@@ -23,7 +23,7 @@ use std::ops::ControlFlow;
 /// Silent shakes at the end of the pitch after which the next is a full one.
 const SILENT: usize = 2;
 /// A spoon that has released this fraction of what it holds is empty once it is silent.
-const EMPTY: f64 = 0.85;
+pub(super) const EMPTY: f64 = 0.85;
 /// The fraction of what the spoon holds that a spoonful of a larger target is to release.
 const PORTION: f64 = 0.8;
 /// Full strokes at the end of the pitch that release nothing after which such a spoonful is spent.
@@ -77,7 +77,7 @@ fn strokes(limits: &Limits, full: &[&Fall], missing_mg: f64, steps_left: u32) ->
 /// What the record says of a loosening,
 const LOOSEN: &str = "nothing falls: the spoon is levelled and shaken to loosen the powder";
 /// and of a new spoonful.
-const REFILL: &str = "the spoon gives no more: it is filled anew";
+pub(super) const REFILL: &str = "the spoon gives no more: it is filled anew";
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     /// What this spoonful is to release, mg: what is missing, or a portion of a larger target that a
@@ -165,9 +165,9 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    /// Fill the spoon anew; the rest of the dose is a dose of its own.
-    pub(super) fn refill(&mut self, course: &mut Course) -> Result<(), Halted> {
-        self.decide(course, REFILL)?;
+    /// Fill the spoon anew, for this reason; the rest of the dose is a dose of its own.
+    pub(super) fn refill(&mut self, course: &mut Course, why: &str) -> Result<(), Halted> {
+        self.decide(course, why)?;
         self.bench.refill()?;
         course.spoonful += 1;
         course.loosened = false;

@@ -14,7 +14,8 @@
 //!     +--> discard                         where the dose ran its course
 //! ```
 //!
-//! Every exit levels the spoon and takes it away, including a panic of the controller or of the
+//! A probing run takes the place of the steps of a dose (`probe.rs`): it has no target, and ends as
+//! `probed`. Every exit levels the spoon and takes it away, including a panic of the controller or of the
 //! event listener. A spoon that cannot be levelled is not taken away: it would pour on its way. The
 //! listener gets each phase and each decision before the motion that follows, and may forbid it:
 //! nothing moves unless it can be recorded.
@@ -26,6 +27,7 @@ mod event;
 pub mod forecast;
 pub mod guard;
 mod ladder;
+mod probe;
 mod result;
 mod settings;
 pub mod silence;
@@ -153,8 +155,13 @@ pub fn weigh(
     };
     let ended = match reach.of(rules.pitch) {
         Some(reach) => {
-            let dosed =
-                weighing.careful(|it| it.begin().and_then(|()| it.dose(controller, rules, &reach)));
+            let dosed = weighing.careful(|it| {
+                it.begin()?;
+                match settings.probe {
+                    Some(probe) => it.probe(probe, rules, &reach),
+                    None => it.dose(controller, rules, &reach),
+                }
+            });
             weighing.withdraw(dosed)
         }
         // Nothing has moved, and nothing needs to.
@@ -165,8 +172,11 @@ pub fn weigh(
     let ended = weighing.discard(ended);
     let reading_mg = weighing.reading_mg(&ended);
     let shakes = weighing.shaken_s.len();
-    let judge =
-        |cause| (reading_mg.map_or(Outcome::Aborted, |mg| result::judge(order, mg, shakes)), cause);
+    let by_reading = |mg| match settings.probe {
+        Some(_) => Outcome::Probed,
+        None => result::judge(order, mg, shakes),
+    };
+    let judge = |cause| (reading_mg.map_or(Outcome::Aborted, by_reading), cause);
     let (outcome, cause) = match ended {
         End::Course(cause) => judge(cause),
         // A dose within its tolerance is as ordered, whatever state the spoon is in.

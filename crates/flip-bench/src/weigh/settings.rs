@@ -3,6 +3,7 @@
 use super::forecast::Forecast;
 use super::result::Accuracy;
 use flip_core::domain::vial::PanCheck;
+use flip_core::domain::weighing::Probe;
 
 /// Probability that a spoonful of a powder stops flowing while powder is left in it, by its angle
 /// of repose.
@@ -52,6 +53,8 @@ pub struct Settings {
     pub accuracy: Accuracy,
     /// What the display must show before anything moves, if the balance is watched then.
     pub pan: PanCheck,
+    /// Probe the powder instead of dosing it; the target of the order is the most that may fall.
+    pub probe: Option<Probe>,
 }
 
 impl Settings {
@@ -71,6 +74,7 @@ impl Settings {
         forecast: Some(Forecast::GENERIC),
         accuracy: Accuracy { repeatability_mg: None, class_pct: 0.1 },
         pan: PanCheck::NONE,
+        probe: None,
     };
     /// On a bench, for a target that may take several spoonfuls of `spoon_mg`: four times as many as
     /// full spoons hold it, as powder may miss the vial, and the time for each full one.

@@ -11,6 +11,7 @@ pub mod observable;
 pub mod parameters;
 pub mod pile;
 pub mod powder;
+pub mod powder_card;
 pub mod powder_name;
 pub mod rest;
 pub mod seed;

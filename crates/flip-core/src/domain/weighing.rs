@@ -49,6 +49,18 @@ pub enum OnOverdose {
     },
 }
 
+/// Spoonfuls that are shaken to see how a powder flows: no dose is aimed at, and what falls is
+/// discarded. The target of such a weighing is the most that may fall altogether.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Probe {
+    /// Fillings of the spoon, 1 to [`PROBE_SPOONFULS_MAX`]; one where a person fills it.
+    pub spoonfuls: u32,
+}
+
+/// Most spoonfuls of one probing run: about half an hour.
+pub const PROBE_SPOONFULS_MAX: u32 = 9;
+
 /// Purpose and conditions of a weighing, besides the mass.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -75,6 +87,9 @@ pub struct Asked {
     /// What to do after an overdose.
     #[serde(default)]
     pub on_overdose: OnOverdose,
+    /// The powder is probed, not dosed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probe: Option<Probe>,
 }
 
 impl Asked {
@@ -142,6 +157,8 @@ pub enum Outcome {
     NotStable,
     /// No more powder leaves the spoon.
     Blocked,
+    /// A probing run that ran its course: there is no dose to judge.
+    Probed,
     /// Stopped on request.
     Stopped,
     /// A device failed, or the guard refused to continue.

@@ -61,17 +61,30 @@ pub fn bootstrap_mean_interval(
     resamples: usize,
     seed: u64,
 ) -> Option<[f64; 2]> {
+    bootstrap_interval(values, mean, level, resamples, seed)
+}
+
+/// The same of any statistic of the values. Samples of which it is `None` do not count; `None` if it
+/// is of all.
+pub fn bootstrap_interval<T: Clone>(
+    values: &[T],
+    statistic: impl Fn(&[T]) -> Option<f64>,
+    level: f64,
+    resamples: usize,
+    seed: u64,
+) -> Option<[f64; 2]> {
     if values.is_empty() {
         return None;
     }
     let mut rng = Pcg64::seed_from_u64(seed);
     let n = values.len();
-    let draw = |rng: &mut Pcg64| values[rng.random_range(0..n as u64) as usize];
-    let mut means: Vec<f64> = (0..resamples.max(1))
-        .map(|_| (0..n).map(|_| draw(&mut rng)).sum::<f64>() / n as f64)
+    let mut draw = || values[rng.random_range(0..n as u64) as usize].clone();
+    let mut found: Vec<f64> = (0..resamples.max(1))
+        .filter_map(|_| statistic(&(0..n).map(|_| draw()).collect::<Vec<T>>()))
         .collect();
-    means.sort_unstable_by(f64::total_cmp);
-    Some([(1.0 - level) / 2.0, (1.0 + level) / 2.0].map(|p| quantile_of_sorted(&means, p)))
+    found.sort_unstable_by(f64::total_cmp);
+    let ends = [(1.0 - level) / 2.0, (1.0 + level) / 2.0];
+    (!found.is_empty()).then(|| ends.map(|p| quantile_of_sorted(&found, p)))
 }
 
 /// Interpolates linearly between order statistics (type 7 of Hyndman and Fan 1996); `sorted` must

@@ -3,6 +3,7 @@
 
 mod halted;
 mod hard;
+mod probing;
 mod scripted;
 mod truth;
 

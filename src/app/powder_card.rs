@@ -1,0 +1,80 @@
+//! The card of a powder, computed from its shakes whenever it is asked for: what is forgotten is on
+//! no card.
+
+use super::shakes::KeptSpoonful;
+use super::{App, Result};
+use flip_core::domain::bench::BenchKind;
+use flip_core::domain::powder_card::PowderCard;
+use flip_core::domain::shake::Spoonful;
+use flip_core::domain::timestamp::Timestamp;
+use flip_store::spoonfuls::ShakesWanted;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// The card, and what it is of.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CardOfPowder {
+    /// Powder id.
+    pub powder: String,
+    /// Only of this lot; absent for all, and unknown ones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lot: Option<String>,
+    /// Of weighings on this bench, and imported spoonfuls; absent for every bench.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bench: Option<BenchKind>,
+    /// Where its spoonfuls come from.
+    pub lots: Vec<LotOnCard>,
+    /// When the last weighing with a shake began, or the last spoonful was imported.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub last_at: Option<Timestamp>,
+    /// The numbers.
+    pub card: PowderCard,
+}
+
+/// Spoonfuls of a lot.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LotOnCard {
+    /// Its name; absent if unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lot: Option<String>,
+    /// Spoonfuls.
+    pub spoonfuls: usize,
+}
+
+impl App {
+    /// How a powder, or one of its lots, leaves the spoon of a kind of bench: of doses, probing runs
+    /// and imported spoonfuls that are not forgotten. By default on the bench of this application,
+    /// or on every bench if it has none.
+    ///
+    /// # Errors
+    /// `NotFound`: an unknown powder. `Invalid`: an impossible lot.
+    pub async fn powder_card(
+        &self,
+        powder: &str,
+        lot: Option<&str>,
+        bench: Option<BenchKind>,
+    ) -> Result<CardOfPowder> {
+        let own = || self.jobs_or_refuse().ok().map(|jobs| jobs.bench().kind());
+        let bench = bench.or_else(own);
+        let (powder, lot) = (powder.to_owned(), lot.map(str::to_owned));
+        let wanted = ShakesWanted { powder: Some(powder.clone()), lot: lot.clone(), bench };
+        let kept = self.kept_spoonfuls(&wanted).await?;
+        let spoonfuls: Vec<Spoonful> = kept.iter().map(|it| it.spoonful.clone()).collect();
+        Ok(CardOfPowder {
+            powder,
+            lot,
+            bench,
+            lots: lots(&kept),
+            last_at: kept.iter().map(|it| it.at).max(),
+            card: PowderCard::of(&spoonfuls),
+        })
+    }
+}
+
+fn lots(kept: &[KeptSpoonful]) -> Vec<LotOnCard> {
+    let mut counts: BTreeMap<Option<String>, usize> = BTreeMap::new();
+    for it in kept {
+        *counts.entry(it.spoonful.lot.clone()).or_default() += 1;
+    }
+    counts.into_iter().map(|(lot, spoonfuls)| LotOnCard { lot, spoonfuls }).collect()
+}
