@@ -119,7 +119,7 @@ pub use investigations::{Investigation, InvestigationRequest, predictions_csv};
 pub use judged_shakes::StoredShakes;
 pub use keyring::Holder;
 pub use measurements::{Imported, Measured, NewMeasurement, NewObservation};
-pub use powder_card::{CardOfPowder, LotOnCard};
+pub use powder_card::{CardOfPowder, JudgedSpoon, LotOnCard};
 pub use powders::{NewPowder, PowderDetail};
 pub use readiness::{Checks, Readiness};
 pub use repose::{ReposeMeasurement, ReposeRequest};

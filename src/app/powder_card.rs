@@ -1,15 +1,21 @@
 //! The card of a powder, computed from its shakes whenever it is asked for: what is forgotten is on
 //! no card.
 
+use super::investigations::Investigation;
 use super::shakes::KeptSpoonful;
 use super::{App, Result};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::powder_card::PowderCard;
 use flip_core::domain::shake::Spoonful;
 use flip_core::domain::timestamp::Timestamp;
+use flip_discover::report::Verdict;
+use flip_store::page::PageQuery;
 use flip_store::spoonfuls::ShakesWanted;
 use serde::Serialize;
 use std::collections::BTreeMap;
+
+/// Newest investigations among which one of the powder's shakes is looked for.
+const LOOKED_AT: u32 = 50;
 
 /// The card, and what it is of.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -27,8 +33,25 @@ pub struct CardOfPowder {
     /// When the last weighing with a shake began, or the last spoonful was imported.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub last_at: Option<Timestamp>,
+    /// What the newest investigation of its shakes said; absent if there was none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub judged: Option<JudgedSpoon>,
     /// The numbers.
     pub card: PowderCard,
+}
+
+/// What an investigation said of a powder's shakes.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct JudgedSpoon {
+    /// The investigation.
+    pub investigation: String,
+    /// Whether the simulated spoon is wrong, and whether the cause has a name.
+    pub verdict: Verdict,
+    /// In plain words.
+    pub sentence: String,
+    /// The version of the simulator made from it; absent if none was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub simulator: Option<String>,
 }
 
 /// Spoonfuls of a lot.
@@ -60,14 +83,39 @@ impl App {
         let wanted = ShakesWanted { powder: Some(powder.clone()), lot: lot.clone(), bench };
         let kept = self.kept_spoonfuls(&wanted).await?;
         let spoonfuls: Vec<Spoonful> = kept.iter().map(|it| it.spoonful.clone()).collect();
+        let judged = self.judged_spoon(&powder).await?;
         Ok(CardOfPowder {
             powder,
             lot,
             bench,
             lots: lots(&kept),
             last_at: kept.iter().map(|it| it.at).max(),
+            judged,
             card: PowderCard::of(&spoonfuls),
         })
+    }
+}
+
+impl App {
+    /// What the newest investigation that judged this powder's shakes said, among the newest ones.
+    async fn judged_spoon(&self, powder: &str) -> Result<Option<JudgedSpoon>> {
+        let newest = self.investigations(PageQuery::first(LOOKED_AT)).await?.items;
+        let has_spoons = |it: &&Investigation| it.spoonfuls > 0 && it.verdict.is_some();
+        for found in newest.iter().filter(has_spoons) {
+            let Ok(report) = self.report(&found.job.id).await else { continue };
+            let Some(spoon) = report.spoon else { continue };
+            let Some(of) = spoon.powders.into_iter().find(|it| it.powder == powder) else {
+                continue;
+            };
+            let made = report.simulator_version.extended.filter(|_| of.extension.is_some());
+            return Ok(Some(JudgedSpoon {
+                investigation: found.job.id.clone(),
+                verdict: of.verdict,
+                sentence: of.sentence,
+                simulator: made,
+            }));
+        }
+        Ok(None)
     }
 }
 

@@ -45,7 +45,15 @@ impl From<app::CardOfPowder> for PowderCard {
             left_mg: card.left.map(|left| left.mass_mg.into()),
             left_share: card.left.map(|left| left.share.into()),
             curves: all(card.curves),
+            judged: of.judged.map(Into::into),
         }
+    }
+}
+
+impl From<app::JudgedSpoon> for JudgedSpoon {
+    fn from(it: app::JudgedSpoon) -> Self {
+        let app::JudgedSpoon { investigation, verdict, sentence, simulator } = it;
+        Self { investigation, verdict: Verdict::from(verdict).into(), sentence, simulator }
     }
 }
 

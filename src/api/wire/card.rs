@@ -1,6 +1,6 @@
 //! Probing runs, and the card of a powder.
 
-use super::{BenchKind, Day, Timestamp, VialCheck};
+use super::{BenchKind, Day, Timestamp, Verdict, VialCheck};
 use crate::app;
 use flip_core::domain::powder_card;
 use serde::{Deserialize, Serialize};
@@ -66,11 +66,31 @@ pub struct CardOfPowder {
     /// When the last weighing with a shake began, or the last spoonful was imported.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub last_at: Option<Timestamp>,
+    /// What the newest investigation of its shakes said; absent if there was none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub judged: Option<JudgedSpoon>,
     /// The numbers.
     pub card: PowderCard,
 }
 
-answer! { app::CardOfPowder => CardOfPowder { powder, lot, bench, lots, last_at, card } }
+answer! { app::CardOfPowder => CardOfPowder { powder, lot, bench, lots, last_at, card, judged,
+} }
+
+/// What an investigation said of a powder's shakes.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct JudgedSpoon {
+    /// The investigation.
+    pub investigation: String,
+    /// Whether the simulated spoon is wrong, and whether the cause has a name.
+    pub verdict: Verdict,
+    /// In plain words.
+    pub sentence: String,
+    /// The version of the simulator made from it; absent if none was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub simulator: Option<String>,
+}
+
+answer! { app::JudgedSpoon => JudgedSpoon { investigation, verdict, sentence, simulator } }
 
 /// Spoonfuls of a lot.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
