@@ -2,7 +2,7 @@
 //! each written down once scored, so the run can be stopped and resumed. `NULLS` campaigns of each
 //! kind without an effect, `EFFECTS` of each kind with one and solvers of each kind, `WHOLE`
 //! campaigns with simulated heaps, seeds from `FIRST` on; a single part with `ONLY=angles`,
-//! `solvers`, `campaigns`, `traces` or `spoon`.
+//! `solvers`, `campaigns`, `traces` or `spoon` (on the first `POWDERS` of four powders).
 
 mod campaigns;
 // Its own tests use more of it.
@@ -74,6 +74,9 @@ fn main() {
     }
     if is_asked("spoon") {
         let wanted = spoon_rates::wanted(first..first + nulls, first..first + effects);
-        print!("{}", spoon_rates::table(&spoon_rates::scored(&folder, &wanted)));
+        print!(
+            "{}",
+            spoon_rates::table(&spoon_rates::scored(&folder, &wanted, count("POWDERS", 4)))
+        );
     }
 }

@@ -130,29 +130,24 @@ impl SpoonScored {
     }
 }
 
-/// Nulls, and every mechanism with every seed, in the order of their seeds.
+/// Nulls, then every mechanism with every seed, seed by seed.
 pub fn wanted(nulls: std::ops::Range<u64>, effects: std::ops::Range<u64>) -> Vec<Asked> {
-    let last = nulls.end.max(effects.end);
-    let first = nulls.start.min(effects.start);
-    let of = |seed: u64| {
-        let null = nulls.contains(&seed).then_some((None, seed));
-        let some = Mechanism::ALL.map(|it| (Some(it), seed));
-        null.into_iter()
-            .chain(some.into_iter().filter(|_| effects.contains(&seed)).collect::<Vec<_>>())
-    };
-    (first..last).flat_map(of).collect()
+    let nulls = nulls.map(|seed| (None, seed));
+    nulls.chain(effects.flat_map(|seed| Mechanism::ALL.map(|it| (Some(it), seed)))).collect()
 }
 
 /// Those in the file, and the others, each written as soon as it is judged: one line for a balance.
-pub fn scored(folder: &Path, wanted: &[Asked]) -> Vec<SpoonScored> {
+/// Seeds take turns with the first so many powders.
+pub fn scored(folder: &Path, wanted: &[Asked], powders: u64) -> Vec<SpoonScored> {
     let bench = Bench::new(WHOLE, Some(folder.join("spoon_replays.jsonl")));
-    let powders = ANGLES_DEG.map(|deg| bench.powder(deg));
+    let angles = ANGLES_DEG.iter().take(powders.clamp(1, 4) as usize);
+    let powders: Vec<Powder> = angles.map(|deg| bench.powder(*deg)).collect();
     let asked: Vec<(String, u64)> =
         wanted.iter().map(|(hidden, seed)| (name(*hidden).to_owned(), *seed)).collect();
     let key = |it: &Vec<SpoonScored>| (it[0].hidden.clone(), it[0].seed);
     let one = |(hidden, seed): &(String, u64)| {
         let mechanism = Mechanism::ALL.into_iter().find(|it| it.name() == hidden);
-        score(&bench, &powders[(seed % 4) as usize], mechanism, *seed)
+        score(&bench, &powders[*seed as usize % powders.len()], mechanism, *seed)
     };
     kept(&folder.join("scored_spoon.jsonl"), &asked, key, one).concat()
 }

@@ -44,15 +44,15 @@ pub struct Size {
     pub strokes_mm: &'static [f64],
 }
 
-/// Of the table: a spoonful in three weighs 12 mg, a third of the product's.
+/// Of the table: a spoonful weighs 7 mg, a fifth of the product's.
 pub const WHOLE: Size = Size {
-    grains: 500,
+    grains: 300,
     pitches_deg: &[20.0, 28.0, 36.0, 44.0, 52.0, 60.0],
     strokes_mm: &[12.0, 6.0, 3.0, 12.0, 6.0],
 };
 /// Of a test.
 pub const SMALL: Size =
-    Size { grains: 200, pitches_deg: &[20.0, 34.0, 47.0, 60.0], strokes_mm: &[8.0, 4.0, 2.0, 8.0] };
+    Size { grains: 200, pitches_deg: &[24.0, 36.0, 48.0, 60.0], strokes_mm: &[8.0, 4.0, 2.0, 8.0] };
 
 /// A balance: step of its display and noise of a reading, mg.
 #[derive(Debug, Clone, Copy)]
@@ -74,7 +74,7 @@ pub struct Powder {
 }
 
 /// Angles of the powders, deg.
-pub const ANGLES_DEG: [f64; 4] = [33.0, 36.0, 39.0, 42.0];
+pub const ANGLES_DEG: [f64; 4] = [36.0, 40.0, 33.0, 42.0];
 const COHESIONS: [f64; 3] = [0.0, 0.25, 0.5];
 const FRICTIONS: [f64; 4] = [0.4, 0.7, 1.0, 1.3];
 /// Grains of the published box, the largest: few of them weigh most.
@@ -82,7 +82,7 @@ const DIAMETER_MM: f64 = 0.32;
 /// Heaps of one angle.
 const HEAPS: u64 = 3;
 /// Replays as calibrated from which a bench gets its own, of each set and spoonful.
-const STOCK: u64 = 24;
+const STOCK: u64 = 40;
 /// The angle of a truth with a mechanism is within this of the powder's, deg.
 const STANDS_DEG: f64 = 0.7;
 const ROUNDS: usize = 4;
@@ -103,7 +103,7 @@ pub struct Bench {
     file: Option<PathBuf>,
 }
 
-/// A bench without anything hidden, or with this; `cohesion` is the truth's.
+/// A bench without anything hidden, or with this.
 #[derive(Debug, Clone, Copy)]
 pub struct Truth {
     pub hidden: Option<Hidden>,
@@ -323,7 +323,8 @@ pub fn is_of_heaps(mechanism: Mechanism) -> bool {
     mechanism != Mechanism::SpoonAdhesion && !hidden.grains().is_none()
 }
 
-fn of(friction: f64, cohesion: f64) -> ParameterSet {
+/// A powder of the largest grains.
+pub fn of(friction: f64, cohesion: f64) -> ParameterSet {
     let set = ParameterSet::default().with("particle_diameter_mm", DIAMETER_MM).unwrap();
     set.with("friction", friction).unwrap().with("cohesion", cohesion).unwrap()
 }
