@@ -41,9 +41,6 @@ pub struct SpoonScored {
     pub wall_s: f64,
 }
 
-/// What the smallest sizes were to change, where there is as much.
-const SEEN: f64 = 0.3;
-
 /// Mechanism and seed.
 pub type Asked = (Option<Mechanism>, u64);
 
@@ -235,8 +232,6 @@ fn rows(text: &mut String, own: &[&SpoonScored]) {
     let outside = of(&|it| it.mechanism().is_some() && it.right().is_none());
     row(text, "nothing hidden: declared", &nulls, &SpoonScored::is_found, "<= 5 %");
     row(text, "found, one of the catalogue", &singles, &SpoonScored::is_found, ">= 95 %");
-    let seen = of(&|it| it.right().is_some() && it.changed.abs() >= SEEN);
-    row(text, "found, where what falls changes by 30 % or more", &seen, &SpoonScored::is_found, "");
     row(text, "most probable cause right", &singles, &SpoonScored::is_top, "");
     row(text, "most probable family right", &singles, &SpoonScored::is_top_family, "");
     row(text, "named: verdict cause, the hidden one", &singles, &SpoonScored::is_named, "");
