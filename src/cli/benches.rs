@@ -18,6 +18,10 @@ pub(super) struct BenchArguments {
     /// protocols around the simulator), or the file of a real bench.
     #[arg(long, value_name = "BENCH", default_value = "simulated")]
     bench: String,
+    /// With `--bench emulated`: seed of a mechanism hidden in every powder, which FLIP does not know
+    /// of [default: none].
+    #[arg(long, value_name = "SEED")]
+    emulated_hidden: Option<u64>,
 }
 
 impl BenchArguments {
@@ -37,9 +41,13 @@ impl BenchArguments {
 
     /// Options for an application with this bench.
     pub(super) fn options(&self) -> Result<Options, Failure> {
+        if self.emulated_hidden.is_some() && self.bench != "emulated" {
+            let message = format!("needs `--bench emulated`, got `--bench {}`", self.bench);
+            return Err(FieldError::new("emulated_hidden", message).into());
+        }
         let rig: Arc<dyn Rig> = match self.bench.as_str() {
             "simulated" => Arc::new(Simulated),
-            "emulated" => Arc::new(Emulated::new(LaboratorySettings::default())),
+            "emulated" => Arc::new(Emulated::new(self.laboratory())),
             file => {
                 let file = read("bench", Path::new(file))?;
                 remind(&file);
@@ -47,6 +55,14 @@ impl BenchArguments {
             }
         };
         Ok(Options { functions: Functions { rig, ..Functions::default() }, ..Options::default() })
+    }
+}
+
+impl BenchArguments {
+    /// The emulated laboratory.
+    fn laboratory(&self) -> LaboratorySettings {
+        let hidden = self.emulated_hidden.unwrap_or_default();
+        LaboratorySettings { hidden, ..LaboratorySettings::default() }
     }
 }
 

@@ -6,13 +6,14 @@ use super::failure::Failure;
 use super::session::{StopSignals, runtime};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use flip_bench::emulate::arm::{self, Arm, Flow, FormulaSpoon, GrainsSpoon, Spoon};
+use flip_bench::emulate::arm::{self, Arm, Flow, FormulaSpoon, Spoon};
 use flip_bench::emulate::balance::{self, Balance, Socket};
 use flip_bench::emulate::camera::{
     CameraFault, Noise, Optics, Pose, Scene, Studio, Surface, faulty_uploads, frames, upload,
 };
 use flip_bench::emulate::gate::{self, EmulatedGate, Slide};
 use flip_bench::emulate::gripper::{self, EmulatedGripper, Fingers};
+use flip_bench::emulate::hidden::{self, Hidden};
 use flip_bench::emulate::lab::{self, Laboratory};
 use flip_bench::emulate::pan::Pan;
 use flip_bench::emulate::port::Port;
@@ -69,6 +70,13 @@ struct LabArguments {
     /// Model the powder with a formula instead of simulated grains: thousands of doses a minute.
     #[arg(long)]
     formula: bool,
+    /// Seed of a mechanism hidden in the powder; 0 hides none. Only that something is hidden is
+    /// said.
+    #[arg(long, value_name = "SEED", default_value_t = 0, conflicts_with = "formula")]
+    hidden: u64,
+    /// Say what is hidden.
+    #[arg(long, requires = "hidden")]
+    reveal: bool,
     /// File to append each motion to, one JSON document per line.
     #[arg(long, value_name = "FILE")]
     motions: Option<PathBuf>,
@@ -120,6 +128,19 @@ struct Document {
     device: &'static str,
     /// A path, `tcp://host:port`, `http://host:port`, or the bench file.
     address: String,
+    /// Whether a mechanism is hidden in the powder.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    hides: bool,
+    /// Which and how strong, if it is to be revealed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hidden: Option<Revealed>,
+}
+
+/// What is hidden.
+#[derive(Debug, Serialize)]
+struct Revealed {
+    mechanism: &'static str,
+    size: f64,
 }
 
 /// Runs it until asked to stop.
@@ -146,7 +167,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         }
         What::Arm(asked) => {
             let pan = Pan::holding(VIAL_MG, clock);
-            let device = Arm::start(arm::Settings::default(), pan, spoon(common, false))?;
+            let device = Arm::start(arm::Settings::default(), pan, spoon(common, false, None))?;
             if let Some(fault) = fault::<arm::Fault>(asked)? {
                 device.inject(fault);
             }
@@ -201,7 +222,7 @@ fn photograph(common: &Common, asked: &CameraArguments) -> Result<(), Failure> {
             serde_json::json!({ "depth": depth, "colour": colour, "description": description });
         std::fs::write(out.join(format!("frame-{:02}.json", k + 1)), body.to_string())?;
     }
-    let document = Document { device: "camera", address: out.display().to_string() };
+    let document = Document::of("camera", &out.display().to_string());
     common.print(&document, || format!("frames of a cone of {deg} deg in {}", out.display()))
 }
 
@@ -211,15 +232,16 @@ fn fault<F: std::str::FromStr<Err = FieldError>>(
     asked.fault.as_deref().map(str::parse).transpose()
 }
 
-/// A spoon of the default powder.
-fn spoon(common: &Common, formula: bool) -> Box<dyn Spoon> {
+/// A spoon of the default powder, with what is hidden in it.
+fn spoon(common: &Common, formula: bool, hidden: Option<Hidden>) -> Box<dyn Spoon> {
     match formula {
         true => Box::new(FormulaSpoon::new(Flow::default(), common.seed)),
-        false => Box::new(GrainsSpoon::new(
+        false => hidden::spoon(
+            hidden,
             &ParameterSet::default(),
             &dispense::Settings::default(),
             common.seed,
-        )),
+        ),
     }
 }
 
@@ -231,13 +253,15 @@ fn laboratory(common: &Common, asked: &LabArguments, clock: Clock) -> Result<(),
         ..balance::Settings::default()
     };
     let settings = lab::Settings { balance: settings.checked()?, ..lab::Settings::default() };
-    let laboratory = Laboratory::start(settings, clock, spoon(common, asked.formula))?;
+    let hidden = Hidden::drawn(asked.hidden);
+    let laboratory = Laboratory::start(settings, clock, spoon(common, asked.formula, hidden))?;
     let text = toml::to_string(&laboratory.file()).map_err(anyhow::Error::from)?;
     std::fs::write(&asked.out, text)?;
     let motions = asked.motions.clone().map(|path| Motions { path, written: 0 });
     runtime()?.block_on(async {
         let mut signals = StopSignals::catch()?;
-        say(common, "lab", &asked.out.display().to_string())?;
+        let document = Document::of("lab", &asked.out.display().to_string());
+        say(common, document.hiding(hidden, asked.reveal))?;
         let Some(mut motions) = motions else {
             signals.received().await;
             return Ok(());
@@ -295,15 +319,37 @@ impl Motions {
     }
 }
 
-fn say(common: &Common, device: &'static str, address: &str) -> Result<(), Failure> {
-    let document = Document { device, address: address.to_owned() };
-    common.print(&document, || format!("{device} at {address}, until Ctrl-C"))
+impl Document {
+    fn of(device: &'static str, address: &str) -> Self {
+        Self { device, address: address.to_owned(), hides: false, hidden: None }
+    }
+
+    /// The same with something hidden in it, which is said or not.
+    fn hiding(self, hidden: Option<Hidden>, is_revealed: bool) -> Self {
+        let revealed = |it: Hidden| Revealed { mechanism: it.mechanism.name(), size: it.size };
+        let told = hidden.filter(|_| is_revealed).map(revealed);
+        Self { hides: hidden.is_some(), hidden: told, ..self }
+    }
+
+    fn text(&self) -> String {
+        let Self { device, address, .. } = self;
+        let hidden = match (&self.hidden, self.hides) {
+            (Some(it), _) => format!("\nhidden in the powder: {}, {:.3}", it.mechanism, it.size),
+            (None, true) => "\nsomething is hidden in the powder: --reveal says what".to_owned(),
+            (None, false) => String::new(),
+        };
+        format!("{device} at {address}, until Ctrl-C{hidden}")
+    }
+}
+
+fn say(common: &Common, document: Document) -> Result<(), Failure> {
+    common.print(&document, || document.text())
 }
 
 fn until_stopped(common: &Common, device: &'static str, address: &str) -> Result<(), Failure> {
     runtime()?.block_on(async {
         let mut signals = StopSignals::catch()?;
-        say(common, device, address)?;
+        say(common, Document::of(device, address))?;
         signals.received().await;
         Ok(())
     })

@@ -9,6 +9,7 @@
 //! own_doses   doses of FLIP's own benches, in which nothing can be wrong
 //! judge       the command, and what its answer is worth
 //! rates       M1 to M15 over many cases; report.rs prints them                                  trace_rates   M13
+//! spoon_truth mechanisms hidden in the emulated laboratory's spoon                              spoon_rates   the table of them
 //! campaigns   whole campaigns with simulated heaps and held-out gain, in the report alone
 //! ```
 //!
@@ -23,16 +24,23 @@ mod judge;
 mod own_doses;
 mod rates;
 mod solver;
+// The report uses more of it.
+#[allow(dead_code)]
+mod spoon_truth;
 mod trace_rates;
 mod trace_truth;
 mod traces;
 mod truth;
 
+use flip_bench::emulate::hidden::{Hidden, Mechanism};
+use flip_discover::report::Verdict;
+use flip_discover::spoon::{Settings, SpoonCause};
 use judge::Laboratory;
 use rates::{
     LARGE_DEG, SIMULATIONS, Scored, scored, table, wanted, wanted_heaps, wanted_without_days,
 };
 use solver::Defect;
+use spoon_truth::{Bench, Truth};
 use truth::Family;
 
 /// Nulls judged by the saboteur without days, at most; the real detector judges as many.
@@ -163,6 +171,31 @@ fn what_another_simulator_does_to_its_grains_is_named() {
         assert_eq!(of.is_found, !of.is_null, "{of:?}");
         assert!(of.is_null || of.is_confident_and_right, "{of:?}");
     }
+}
+
+/// Grains that stick to the spoon of the emulated laboratory are found and named by replays of the
+/// spoonfuls, and nothing is found where nothing is hidden.
+#[test]
+fn what_is_hidden_in_the_emulated_spoon_is_named() {
+    let of = spoon_truth::of;
+    let bench = Bench::new(spoon_truth::SMALL, None);
+    let powder = spoon_truth::Powder { angle_deg: 36.0, sets: vec![of(0.8, 0.0), of(0.55, 0.4)] };
+    let settings = Settings {
+        causes: vec![SpoonCause::SpoonAdhesion, SpoonCause::Actuator, SpoonCause::SizeSpread],
+        ..Settings::default()
+    };
+    let told = |hidden: Option<Hidden>| {
+        // Neither of the sets that judge it.
+        let truth = Truth { hidden, set: of(0.68, 0.2), off_deg: 0.0 };
+        let weighed = bench.weighed(&bench.poured(&truth, 7), spoon_truth::BALANCES[1], 7);
+        let report = bench.judged(&powder, false, &weighed, &settings);
+        println!("{} {:?}", report.p_value, report.sentence);
+        report
+    };
+    assert_eq!(told(None).verdict, Verdict::NoDiscrepancy);
+    let sticky = told(Some(Hidden { mechanism: Mechanism::SpoonAdhesion, size: 3.0 }));
+    assert_eq!(sticky.verdict, Verdict::Cause, "{sticky:?}");
+    assert_eq!(sticky.causes[0].cause, SpoonCause::SpoonAdhesion, "{sticky:?}");
 }
 
 /// The kept campaigns of other grains are those that the grains make: each begins with the heaps

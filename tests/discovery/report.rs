@@ -2,7 +2,7 @@
 //! each written down once scored, so the run can be stopped and resumed. `NULLS` campaigns of each
 //! kind without an effect, `EFFECTS` of each kind with one and solvers of each kind, `WHOLE`
 //! campaigns with simulated heaps, seeds from `FIRST` on; a single part with `ONLY=angles`,
-//! `solvers`, `campaigns` or `traces`.
+//! `solvers`, `campaigns`, `traces` or `spoon` (on the first `POWDERS` of four powders).
 
 mod campaigns;
 // Its own tests use more of it.
@@ -12,6 +12,10 @@ mod heaps;
 mod judge;
 mod rates;
 mod solver;
+mod spoon_rates;
+// The test uses more of it.
+#[allow(dead_code)]
+mod spoon_truth;
 // Its own tests use more of it.
 mod trace_rates;
 #[allow(dead_code)]
@@ -67,5 +71,12 @@ fn main() {
         benches.extend(trace_rates::wanted(&TraceFamily::SINGLES, seeds.clone()));
         benches.extend(trace_rates::wanted(&TraceFamily::OTHERS, seeds));
         println!("{}", trace_rates::table(&trace_rates::scored(&folder, &benches, SIMULATIONS)));
+    }
+    if is_asked("spoon") {
+        let wanted = spoon_rates::wanted(first..first + nulls, first..first + effects);
+        print!(
+            "{}",
+            spoon_rates::table(&spoon_rates::scored(&folder, &wanted, count("POWDERS", 4)))
+        );
     }
 }

@@ -31,6 +31,8 @@ pub struct Settings {
     /// FLIP bases its expectations of a powder on earlier doses, as it does on devices. Default
     /// false: a dose depends only on its seed.
     pub remembers: bool,
+    /// Seed of the [mechanism](super::hidden::Hidden) hidden in the powder. Default 0: none.
+    pub hidden: u64,
 }
 
 /// A vial.

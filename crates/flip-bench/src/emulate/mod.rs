@@ -11,6 +11,7 @@ pub mod camera;
 mod fault;
 pub mod gate;
 pub mod gripper;
+pub mod hidden;
 pub mod lab;
 mod motion;
 pub mod pan;

@@ -3,8 +3,8 @@
 use super::devices::dose;
 use super::wires::Wires;
 use super::{OnEvent, PileStand, Poured, Pouring, Rig};
-use crate::emulate::arm::GrainsSpoon;
 use crate::emulate::balance;
+use crate::emulate::hidden::{self, Hidden};
 use crate::emulate::lab::{self, Laboratory};
 use crate::hardware::DeviceError;
 use crate::hardware::clock::Clock;
@@ -42,7 +42,8 @@ impl Rig for Emulated {
     fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
         let clock = Clock::standing();
         let simulation = &pouring.simulation;
-        let spoon = GrainsSpoon::new(
+        let spoon = hidden::spoon(
+            Hidden::drawn(self.settings.hidden),
             &simulation.set,
             &simulation.spoon_for(&pouring.task.rules),
             simulation.seed,
@@ -54,7 +55,7 @@ impl Rig for Emulated {
         // This arm's shakes are known.
         let shakes = pouring.shakes.clone().or_else(|| settings.arm.shakes());
         let pouring = Pouring { shakes, ..pouring.clone() };
-        match Laboratory::start(settings, clock.clone(), Box::new(spoon)) {
+        match Laboratory::start(settings, clock.clone(), spoon) {
             Ok(laboratory) => {
                 let poured = dose(&self.wires, &laboratory.file(), clock, &pouring, on_event, stop);
                 Poured { dispensed_mg: Some(laboratory.dispensed_mg()), ..poured }
