@@ -189,7 +189,12 @@ fn of(report: &PowderReport, powder: &Powder, truth: &Truth, balance: Balance) -
         p_value: report.p_value,
         verdict: report.verdict,
         causes: report.causes.iter().take(4).map(|it| (it.cause, it.probability)).collect(),
-        families: report.families.iter().take(3).cloned().collect(),
+        families: report
+            .families
+            .iter()
+            .take(3)
+            .map(|it| (it.family.clone(), it.probability))
+            .collect(),
         unknown: report.unknown_probability,
         ambiguous_between: report.ambiguous_between.clone(),
         gain: report.gain.as_ref().map(|it| (it.error_before_mg, it.error_after_mg, it.accepted)),
