@@ -3,13 +3,13 @@
 //! | number | meaning | interval |
 //! |---|---|---|
 //! | onset | pitch at which the first 0.5 mg of a spoonful, or three SD of the balance, had fallen; 5 deg beyond the last pitch if never | bootstrap over spoonfuls |
-//! | curves | mg of one stroke over the pitch, in cells of 4 deg, by the stroke's share of the largest one made | Student's t of the mean of the cell |
-//! | slope | increase of ln(mg + 0.3 mg) with the pitch from the onset on, within strokes of one class | bootstrap over spoonfuls |
+//! | curves | mg of one stroke over the pitch, in cells of 4 deg, by the stroke's share of the largest one made | Student's t of the mean of the cell, with the spread pooled over the curve |
+//! | slope | increase of ln(mg + 0.3 mg) with the pitch from the onset on, within strokes of one class, until half of the filling has fallen | bootstrap over spoonfuls |
 //! | scatter | SD of ln(mg + 0.3 mg) from the onset on, within cells | none |
 //! | left | mass that stays in the spoon after 8 full strokes or more at the steepest pitch | bootstrap over spoonfuls |
 //!
 //! All intervals hold 90 %. The onset is that of the spoon channel of an investigation
-//! (`flip_discover`, spoon). Curves, slope and scatter leave out strokes of a spoon that has released
+//! (`flip_discover`, spoon). Curves, slope and scatter are of readings after a single stroke, and leave out strokes of a spoon that has released
 //! 85 % of its filling, where that is known: those say nothing of the powder. The stroke that spends it
 //! counts, as the least that would have fallen.
 
@@ -32,6 +32,8 @@ const STEP_MG: f64 = 0.3;
 const CELL_DEG: f64 = 4.0;
 /// Share of its filling below which a spoon is spent.
 const SPENT: f64 = 0.15;
+/// The same for the slope: what is left by then changes what a stroke gives more than the pitch does.
+const HALF: f64 = 0.5;
 /// A pitch this close to the steepest is the steepest, deg.
 const STEEPEST_DEG: f64 = 0.5;
 /// Full strokes there after which what is left stays.
@@ -76,7 +78,7 @@ pub struct CardCell {
     /// SD of the mass of a stroke, mg; `None` for one reading.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sd_mg: Option<f64>,
-    /// Interval of the mean, mg; `None` for one reading.
+    /// Interval of the mean, mg; `None` if no cell of the curve has two readings.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub band_mg: Option<[f64; 2]>,
 }
@@ -140,11 +142,12 @@ struct Stroke {
     class: Option<StrokeClass>,
     pitch_deg: f64,
     shake_mm: f64,
-    /// Of one stroke, mg.
     mass_mg: f64,
     sd_mg: f64,
     /// At or after the onset.
     flows: bool,
+    /// Half of the filling or more is in the spoon, or nobody knows.
+    is_full: bool,
 }
 
 impl PowderCard {
@@ -204,19 +207,20 @@ fn class(shake_mm: f64, longest_mm: f64) -> Option<StrokeClass> {
 fn strokes(of: &Spoonful, longest_mm: f64) -> Vec<Stroke> {
     let onset = onset(of).unwrap_or(usize::MAX);
     let filled_mg = of.shakes.first().and_then(|shake| shake.spoon_mg);
-    let is_spent = |shake: &Shake| {
-        shake.spoon_mg.zip(filled_mg).is_some_and(|(left_mg, mg)| left_mg < SPENT * mg)
+    let is_below = |shake: &Shake, share: f64| {
+        shake.spoon_mg.zip(filled_mg).is_some_and(|(left_mg, mg)| left_mg < share * mg)
     };
     let stroke = |(k, shake): (usize, &Shake)| Stroke {
         class: class(shake.shake_mm, longest_mm),
         pitch_deg: shake.pitch_deg,
         shake_mm: shake.shake_mm,
-        mass_mg: shake.fell_mg / f64::from(shake.strokes),
-        sd_mg: shake.sd_mg / f64::from(shake.strokes),
+        mass_mg: shake.fell_mg,
+        sd_mg: shake.sd_mg,
         flows: k >= onset,
+        is_full: !is_below(shake, HALF),
     };
-    let live = of.shakes.iter().enumerate().take_while(|(_, shake)| !is_spent(shake));
-    live.filter(|(_, shake)| shake.shake_mm > 0.0).map(stroke).collect()
+    let live = of.shakes.iter().enumerate().take_while(|(_, shake)| !is_below(shake, SPENT));
+    live.filter(|(_, shake)| shake.shake_mm > 0.0 && shake.strokes == 1).map(stroke).collect()
 }
 
 fn ln_mg(stroke: &Stroke) -> f64 {
@@ -242,7 +246,7 @@ fn cells(strokes: &[Stroke]) -> BTreeMap<(StrokeClass, i64), Vec<Stroke>> {
 fn slope(strokes: &[Stroke]) -> Option<f64> {
     let (mut products, mut squares) = (0.0, 0.0);
     for class in [StrokeClass::Full, StrokeClass::Half, StrokeClass::Quarter] {
-        let own = || strokes.iter().filter(|it| it.flows && it.class == Some(class));
+        let own = || strokes.iter().filter(|it| it.flows && it.is_full && it.class == Some(class));
         let (x, y): (Vec<f64>, Vec<f64>) = own().map(|it| (it.pitch_deg, ln_mg(it))).unzip();
         let (Some(mean_x), Some(mean_y)) = (mean(&x), mean(&y)) else { continue };
         products += x.iter().zip(&y).map(|(x, y)| (x - mean_x) * (y - mean_y)).sum::<f64>();
@@ -264,7 +268,9 @@ fn curves(strokes: &[Stroke]) -> Vec<CardCurve> {
         let own = || cells.iter().filter(|((of, _), _)| *of == class).map(|(_, own)| own);
         let lengths: Vec<f64> = own().flatten().map(|it| it.shake_mm).collect();
         let shake_mm = mean(&lengths)?;
-        Some(CardCurve { stroke: class, shake_mm, cells: own().map(|own| cell(own)).collect() })
+        let spread = pooled(&own().map(Vec::as_slice).collect::<Vec<_>>());
+        let cells = own().map(|own| cell(own, spread)).collect();
+        Some(CardCurve { stroke: class, shake_mm, cells })
     };
     [StrokeClass::Full, StrokeClass::Half, StrokeClass::Quarter]
         .into_iter()
@@ -272,16 +278,28 @@ fn curves(strokes: &[Stroke]) -> Vec<CardCurve> {
         .collect()
 }
 
-/// The mean of a cell; its spread is never taken as less than the balance's.
-fn cell(own: &[Stroke]) -> CardCell {
+/// SD of a stroke about the mean of its cell, mg, and its degrees of freedom; never less than the
+/// balance's.
+fn pooled(cells: &[&[Stroke]]) -> Option<(f64, usize)> {
+    let masses: Vec<Vec<f64>> =
+        cells.iter().map(|own| own.iter().map(|it| it.mass_mg).collect()).collect();
+    let sd_mg = sd_within_cells(masses.iter().map(Vec::as_slice))?;
+    let balance: Vec<f64> = cells.iter().flat_map(|own| own.iter()).map(|it| it.sd_mg).collect();
+    let freedom = masses.iter().map(|own| own.len() - 1).sum();
+    Some((sd_mg.max(mean(&balance).unwrap_or(0.0)), freedom))
+}
+
+/// The mean of a cell, with the spread of its curve.
+fn cell(own: &[Stroke], spread: Option<(f64, usize)>) -> CardCell {
     let of = |value: fn(&Stroke) -> f64| own.iter().map(value).collect::<Vec<f64>>();
     let (masses, n) = (of(|it| it.mass_mg), own.len());
     let mean_mg = mean(&masses).unwrap_or(0.0);
-    let sd_mg = sd(&masses);
-    let balance_mg = mean(&of(|it| it.sd_mg)).unwrap_or(0.0);
-    let half = |sd_mg: f64| student_95(n - 1) * sd_mg.max(balance_mg) / (n as f64).sqrt();
-    let band_mg = sd_mg.map(|sd_mg| [mean_mg - half(sd_mg), mean_mg + half(sd_mg)]);
-    CardCell { pitch_deg: mean(&of(|it| it.pitch_deg)).unwrap_or(0.0), n, mean_mg, sd_mg, band_mg }
+    let band_mg = spread.map(|(sd_mg, freedom)| {
+        let half_mg = student_95(freedom) * sd_mg / (n as f64).sqrt();
+        [mean_mg - half_mg, mean_mg + half_mg]
+    });
+    let pitch_deg = mean(&of(|it| it.pitch_deg)).unwrap_or(0.0);
+    CardCell { pitch_deg, n, mean_mg, sd_mg: sd(&masses), band_mg }
 }
 
 fn left(spoonfuls: &[Spoonful], longest_mm: f64) -> Option<Left> {
