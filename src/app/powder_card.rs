@@ -3,6 +3,7 @@
 
 use super::shakes::KeptSpoonful;
 use super::{App, Result};
+use flip_core::card::card_of;
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::powder_card::PowderCard;
 use flip_core::domain::shake::Spoonful;
@@ -66,7 +67,7 @@ impl App {
             bench,
             lots: lots(&kept),
             last_at: kept.iter().map(|it| it.at).max(),
-            card: PowderCard::of(&spoonfuls),
+            card: card_of(&spoonfuls),
         })
     }
 }
