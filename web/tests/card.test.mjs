@@ -53,6 +53,7 @@ describe('the card of a powder', () => {
     assert.match(await fact('Begins to flow at').textContent(), /^22\.0° 22\.0 to 22\.0$/)
     assert.match(await fact('Slope of ln mg').textContent(), /^0\.\d{3} per ° /)
     await card().getByText('Lots: L1 (2).').waitFor()
+    await card().getByText('Table of Mass of a stroke over the pitch').click()
     const { rows } = await csvOf(page, 'Mass of a stroke over the pitch')
     assert.deepEqual(rows.map((cells) => cells[0]).slice(1), ['14.0', '18.0', '22.0', '26.0'])
     const column = (name) => rows.slice(1).map((cells) => cells[rows[0].findIndex((title) => title.startsWith(name))])
