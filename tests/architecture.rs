@@ -5,9 +5,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may name; a room may always name itself. A crate of one room is not here: its manifest says what it may name.
-const ARROWS: [(&str, &[&str]); 24] = [
+const ARROWS: [(&str, &[&str]); 25] = [
     ("domain", &[]),
     ("stats", &[]),
+    ("card", &["domain", "stats"]),
     ("hardware", &["domain"]),
     ("emulate", &["domain", "stats", "sim", "hardware"]),
     ("pile", &["domain", "stats", "hardware"]),
@@ -35,7 +36,10 @@ const ARROWS: [(&str, &[&str]); 24] = [
     ),
     (
         "app",
-        &["domain", "store", "jobs", "policy", "discover", "emulate", "hardware", "pile", "rig"],
+        &[
+            "domain", "card", "store", "jobs", "policy", "discover", "emulate", "hardware", "pile",
+            "rig",
+        ],
     ),
     ("api", &["domain", "app"]),
     ("cli", &["domain", "sim", "hardware", "emulate", "rig", "app", "api", "telemetry"]),

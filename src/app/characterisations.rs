@@ -4,10 +4,10 @@
 use super::check::Check;
 use super::weighings::TARGET_MG_MAX;
 use super::{App, Result, Target, Tolerance, WeighingRequest};
-use flip_core::domain::bounded;
 use flip_core::domain::conditions::Conditions;
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, OnOverdose, PROBE_SPOONFULS_MAX, Probe};
+use flip_core::domain::{FieldError, bounded};
 use flip_store::weighings::Weighing;
 
 /// Spoonfuls of a probing run: one for each stroke.
@@ -97,6 +97,15 @@ impl CharacterisationRequest {
 pub(super) fn limit_mg(asked_mg: f64, spoonfuls: u32, capacity_mg: f64) -> f64 {
     let usual_mg = (f64::from(spoonfuls) + 1.0) * capacity_mg;
     if asked_mg > 0.0 { asked_mg } else { usual_mg.ceil().min(TARGET_MG_MAX) }
+}
+
+/// Refuses a request to weigh that asks to probe.
+pub(super) fn no_probe(asked: &Asked) -> Result<()> {
+    let advice = "must be absent from a weighing: POST /v1/characterisations probes a powder";
+    match asked.probe {
+        Some(_) => Err(FieldError::new("asked.probe", advice).into()),
+        None => Ok(()),
+    }
 }
 
 #[cfg(test)]

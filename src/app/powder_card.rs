@@ -4,6 +4,7 @@
 use super::investigations::Investigation;
 use super::shakes::KeptSpoonful;
 use super::{App, Result};
+use flip_core::card::card_of;
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::powder_card::PowderCard;
 use flip_core::domain::shake::Spoonful;
@@ -91,7 +92,7 @@ impl App {
             lots: lots(&kept),
             last_at: kept.iter().map(|it| it.at).max(),
             judged,
-            card: PowderCard::of(&spoonfuls),
+            card: card_of(&spoonfuls),
         })
     }
 }

@@ -1,6 +1,6 @@
 //! Weighings: checked, committed as intents, then carried out one at a time by the bench.
 
-use super::characterisations::limit_mg;
+use super::characterisations::{limit_mg, no_probe};
 use super::check::Check;
 use super::evaluations::unmet;
 use super::trainings::without_sets;
@@ -115,11 +115,7 @@ impl App {
         request: WeighingRequest,
         idempotency_key: &str,
     ) -> Result<(Weighing, bool)> {
-        if request.asked.probe.is_some() {
-            let advice =
-                "must be absent from a weighing: POST /v1/characterisations probes a powder";
-            return Err(FieldError::new("asked.probe", advice).into());
-        }
+        no_probe(&request.asked)?;
         self.commit_request(request, idempotency_key).await
     }
 

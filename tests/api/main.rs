@@ -3,6 +3,7 @@
 mod archive;
 mod asked;
 mod authorization;
+mod characterisations;
 mod comparison;
 mod document;
 mod grpc;

@@ -1,6 +1,7 @@
 //! The command line as scripts see it: the real binary, its exit status, its single document.
 
 mod bench;
+mod characterise;
 mod compare;
 mod config;
 mod discover;

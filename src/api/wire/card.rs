@@ -120,8 +120,8 @@ pub struct PowderCard {
     pub onset_deg: Option<Estimate>,
     /// Spoonfuls of which nothing fell.
     pub never_flowed: usize,
-    /// Increase of ln(mg + 0.3 mg) of a stroke with the pitch from the onset on, 1/deg; absent if it
-    /// flowed at one pitch only.
+    /// Increase of ln(mg + 0.3 mg) of a stroke with the pitch, from the onset on until half of the
+    /// filling has fallen, 1/deg; absent if it flowed at one pitch only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slope_per_deg: Option<Estimate>,
     /// SD of ln(mg + 0.3 mg) of a stroke from the onset on, at one pitch; absent without repeats.
@@ -131,8 +131,8 @@ pub struct PowderCard {
     /// unknown.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub left: Option<Left>,
-    /// Mass of a stroke over the pitch, from the longest stroke to the shortest. Strokes of a spoon
-    /// that has released 85 % of its filling are left out.
+    /// Mass of a stroke over the pitch, from the longest stroke to the shortest. Readings
+    /// after several strokes, and of a spoon that has released 85 % of its filling, are left out.
     pub curves: Vec<CardCurve>,
 }
 
@@ -205,7 +205,7 @@ pub struct CardCell {
     /// SD of the mass of a stroke, mg; absent for one reading.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sd_mg: Option<f64>,
-    /// Interval of the mean, mg; absent for one reading.
+    /// Interval of the mean, mg, with the spread pooled over the curve; absent without repeats.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub band_mg: Option<[f64; 2]>,
 }
