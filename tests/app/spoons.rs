@@ -135,7 +135,8 @@ async fn shakes_that_cannot_be_judged_are_refused_by_field() {
     assert!(said(both).await.contains("leave `shakes` or `shakes_csv` out"));
     let few = InvestigationRequest { budget_replays: Some(10), ..request(shakes(0.0)) };
     assert!(said(few).await.contains("budget_replays"));
-    let unknown = request("weighing,powder,pitch_deg,shake_mm,fell_mg\nw,dust,30,8,1\n".into());
+    let unknown =
+        request("weighing,powder,pitch_deg,shake_mm,fell_mg,sd_mg\nw,dust,30,8,1,0.1\n".into());
     let unknown = said(unknown).await;
     assert!(unknown.contains("row[2].powder"), "{unknown}");
 }
