@@ -49,6 +49,14 @@ describe('an investigation', () => {
     assert.equal((await service.get('/v1/investigations')).items.length, 0)
   })
 
+  it('of shakes that nobody made is refused too', async () => {
+    await chromium.open(page, 'investigations')
+    await page.getByLabel(/what fell from the spoon/).check()
+    await start()
+    await page.getByRole('alert').getByText(/hold 0 spoonfuls/).waitFor()
+    await page.getByLabel(/what fell from the spoon/).uncheck()
+  })
+
   it('is started with a file and watched until its report is there', async () => {
     await upload(humidDays())
     await page.getByLabel('Seed').fill('7')

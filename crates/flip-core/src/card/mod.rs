@@ -72,7 +72,7 @@ pub fn card_of(spoonfuls: &[Spoonful]) -> PowderCard {
     let onsets: Vec<f64> = spoonfuls.iter().map(onset_or_beyond_deg).collect();
     let flat: Vec<Stroke> = strokes.iter().flatten().copied().collect();
     PowderCard {
-        onset_deg: estimate(&onsets, |onsets| mean(onsets)),
+        onset_deg: estimate(&onsets, mean),
         never_flowed: spoonfuls.iter().filter(|it| onset(it).is_none()).count(),
         slope_per_deg: estimate(&strokes, |strokes| slope(&strokes.concat())),
         scatter: scatter(&flat),
@@ -219,7 +219,7 @@ fn left(spoonfuls: &[Spoonful], longest_mm: f64) -> Option<Left> {
         (strokes >= LAST_STROKES && filled_mg > 0.0).then_some([left_mg, left_mg / filled_mg])
     };
     let found: Vec<[f64; 2]> = spoonfuls.iter().filter_map(stays).collect();
-    let of = |k: usize| estimate(&found.iter().map(|it| it[k]).collect::<Vec<_>>(), |x| mean(x));
+    let of = |k: usize| estimate(&found.iter().map(|it| it[k]).collect::<Vec<_>>(), mean);
     Some(Left { spoonfuls: found.len(), mass_mg: of(0)?, share: of(1)? })
 }
 
