@@ -2,10 +2,10 @@
 
 use super::jobs::{corrupt, specification, stored};
 use super::judged_shakes::StoredShakes;
-use super::shake_cells::cells;
 use super::{App, Error, Result};
 use crate::jobs::calibrate::{CalibrationResult, Design, Method, Posterior, Settings};
 use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
+use flip_core::card::cells::cells;
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::{Conditions, Patch, Under};
 use flip_core::domain::job::JobKind;

@@ -37,7 +37,6 @@ mod provable;
 mod readiness;
 pub mod report_html;
 mod repose;
-mod shake_cells;
 mod shake_csv;
 mod shakes;
 mod simulators;

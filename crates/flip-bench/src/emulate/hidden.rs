@@ -19,10 +19,8 @@
 //!
 //! The size is drawn log-uniformly between the one that changes a full course by some 30 % and
 //! three times that, where there is as much: `humidity`, `rolling`, `size_spread`, `attraction` at
-//! an unchanged angle and `weak_strokes` change less at their smallest. How far a course is changed
-//! is the mean difference of what has fallen, over all steps, over the mean of what falls usually;
-//! `sizes_are_as_stated` prints it for every mechanism:
-//! `cargo test --release -p flip-bench --lib hidden -- --ignored --nocapture`.
+//! an unchanged angle and `weak_strokes` change less at their smallest. How far what falls is
+//! changed `make discovery-report ONLY=spoon` prints for every mechanism.
 
 use super::arm::{GrainsSpoon, Pour, Spoon};
 use flip_core::domain::bench::Action;
@@ -422,23 +420,5 @@ mod tests {
         assert!(drift.stays(0.0, 9.0) == 0.0 && drift.stays(12.0, 0.0) > 0.8);
         let packing = of(Mechanism::Packing, 1.0);
         assert!(packing.stays(9.0, 0.0) == 0.0 && packing.stays(0.0, 120.0) > 0.8);
-    }
-
-    /// Prints how far each size changes a full course: `-- --ignored --nocapture`.
-    #[test]
-    #[ignore = "prints a table; a minute"]
-    fn sizes_are_as_stated() {
-        for stroke_mm in [12.0, 3.0] {
-            let (usual, filled) = course(None, stroke_mm);
-            println!("{stroke_mm} mm, filled {filled:.2}: {usual:.2?}");
-            for mechanism in Mechanism::ALL {
-                let [low, high] = mechanism.sizes();
-                let sizes = [low, (low * high).sqrt(), high];
-                let change = sizes.map(|size| {
-                    changed(&usual, &course(Some(Hidden { mechanism, size }), stroke_mm).0)
-                });
-                println!("{:<16} {sizes:.2?} {change:+.2?}", mechanism.name());
-            }
-        }
     }
 }

@@ -13,6 +13,8 @@
 //! leave out those of a spoon that has released 85 % of its filling, where that is known: they say
 //! nothing of the powder. The stroke that spends it counts, as the least that would have fallen.
 
+pub mod cells;
+
 use crate::domain::powder_card::{CardCell, CardCurve, Estimate, Left, PowderCard, StrokeClass};
 use crate::domain::shake::{Shake, Spoonful};
 use crate::stats::summary::{bootstrap_interval, mean, sd, sd_within_cells};

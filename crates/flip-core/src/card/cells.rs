@@ -6,9 +6,9 @@
 //! only shakes before which little had fallen count. Pitches and amplitudes close to each other are
 //! one cell, which stands at its mean pitch and amplitude.
 
-use flip_core::domain::observable::{Observable, Observation, SD_MIN};
-use flip_core::domain::shake::{Shake, Spoonful};
-use flip_core::stats::summary::{mean, sd};
+use crate::domain::observable::{Observable, Observation, SD_MIN};
+use crate::domain::shake::{Shake, Spoonful};
+use crate::stats::summary::{mean, sd};
 use std::collections::BTreeMap;
 
 /// Most cells: each costs minutes of simulation.
@@ -29,7 +29,7 @@ const PITCH_DEG_MAX: f64 = 50.0;
 const SHAKE_MM_RANGE: [f64; 2] = [0.9, 16.0];
 
 /// The cells with the most shakes, in order of pitch; none where no cell has enough.
-pub(super) fn cells(spoonfuls: &[Spoonful]) -> Vec<Observation> {
+pub fn cells(spoonfuls: &[Spoonful]) -> Vec<Observation> {
     let mut all: BTreeMap<(i64, usize), Vec<&Shake>> = BTreeMap::new();
     for shake in spoonfuls.iter().flat_map(from_full) {
         let place = (shake.pitch_deg / PITCH_DEG).round() as i64;
