@@ -114,3 +114,7 @@ fn of_gain(gain: &SpoonGain) -> Markup {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "spoon_tests.rs"]
+mod tests;
