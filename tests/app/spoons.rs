@@ -3,7 +3,8 @@
 
 use super::harness::*;
 use flip::app::{
-    App, Error, Functions, InvestigationRequest, JobState, Report, StoredShakes, Verdict,
+    App, CalibrationMethod, CalibrationRequest, Error, Functions, InvestigationRequest, JobState,
+    Report, StoredShakes, Verdict,
 };
 use flip::jobs::spoons_on_cores;
 use flip_sim::replay::{Replay, Replayed};
@@ -149,4 +150,39 @@ async fn replays_are_stopped_and_begun_again() {
     let job = ended(&app, &job.id).await;
     assert_eq!(job.state, JobState::Cancelled, "{:?}", job.error);
     assert_eq!(judged(&app, request(shakes(3.0))).await.verdict, Verdict::Cause);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn angle_and_spoon_are_met_together_with_gravity_held() {
+    let (_folder, app) = open(replaying()).await;
+    let joint = |method| CalibrationRequest {
+        powder: Some("sand".into()),
+        method,
+        sets: Some(2),
+        shakes: Some(StoredShakes::default()),
+        ..Default::default()
+    };
+    let said = async |request: CalibrationRequest| match app.start_calibration(request).await {
+        Err(Error::Invalid(errors)) => errors[0].to_string(),
+        other => panic!("{other:?}"),
+    };
+    let without = said(joint(None)).await;
+    assert!(without.contains("shakes") && without.contains("0 spoonfuls"), "{without}");
+    app.import_shakes(&shakes(0.0), "a test", false).await.unwrap();
+    let sequential = said(joint(Some(CalibrationMethod::Sequential))).await;
+    assert!(sequential.contains("emulator"), "{sequential}");
+    let of_another = StoredShakes { powder: Some("salt".into()), ..StoredShakes::default() };
+    let other = said(CalibrationRequest { shakes: Some(of_another), ..joint(None) }).await;
+    assert!(other.contains("of the calibration's powder"), "{other}");
+
+    let (job, _) = app.start_calibration(joint(None)).await.unwrap();
+    let job = ended(&app, &job.id).await;
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    let calibration = app.calibration(&job.id).await.unwrap();
+    let cells = &calibration.observations;
+    assert!((1..=3).contains(&cells.len()), "{cells:?}");
+    assert!(cells.iter().all(|it| it.observable.kind() == "shake_mass" && it.n >= 3), "{cells:?}");
+    assert_eq!(calibration.settings["fixed"]["gravity_scale"], 1.0);
+    let observed = calibration.result.unwrap().observed;
+    assert_eq!(observed.len(), cells.len(), "each set was looked at");
 }
