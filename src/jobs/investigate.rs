@@ -39,15 +39,17 @@ pub(super) fn perform(
         }
         None => 0.0,
     };
+    // What is left after the replays is shared by the rest.
+    let [judged_from, judged_until] = JUDGED.map(|share| begin + (1.0 - begin) * share);
     let pourer = Pourer::of(host, &functions.simulate, spec);
     let numerics = match &pourer {
-        Some(pourer) => pourer.numerics([0.0, JUDGED[0]])?,
+        Some(pourer) => pourer.numerics([begin, judged_from])?,
         None => None,
     };
-    let [from, until] = if pourer.is_some() { JUDGED } else { [0.0, 1.0] };
+    let [from, until] = if pourer.is_some() { [judged_from, judged_until] } else { [begin, 1.0] };
     let mut unsaved = None;
     let report = investigate(measured, simulator, settings, |progress| {
-        let fraction = begin.max(from + (until - from) * progress.fraction);
+        let fraction = from + (until - from) * progress.fraction;
         let progress = Progress { fraction, message: progress.message.clone() };
         go_on(host, host.report(&progress), &mut unsaved)
     });
@@ -70,7 +72,7 @@ pub(super) fn perform(
         None => None,
     };
     if let (Some(pourer), Some(extended)) = (&pourer, &mut extended) {
-        pourer.fit(extended, &mut report, [JUDGED[1], 1.0])?;
+        pourer.fit(extended, &mut report, [judged_until, 1.0])?;
     }
     if let Some(of_spoon) = of_spoon {
         // Spoonfuls that were left out have verified it.
