@@ -34,8 +34,8 @@ pub struct InvestigationRequest {
     pub shakes_csv: Option<String>,
     /// Stored shakes of weighings in place of a file; default none.
     pub shakes: Option<StoredShakes>,
-    /// Maximum spoonfuls of each powder to replay, 156 (more beside angles or readings) to 100000;
-    /// default 600. Where nothing is wrong a third of them are.
+    /// Maximum spoonfuls of each powder to replay, 156 (more beside other data) to 100000; default
+    /// 600. Where nothing is wrong a third of them are.
     pub budget_replays: Option<u32>,
     /// Order of dates such as 2/3/2026 and 26/02/21, `day_first`, `month_first` or `year_first`;
     /// needed where the column is ambiguous.
