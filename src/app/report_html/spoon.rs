@@ -85,7 +85,7 @@ fn causes(all: &[SpoonCauseReport], powder: &str) -> Markup {
         row(
             cause(it.cause.name().0),
             &[
-                html! { (percent(it.probability)) },
+                html! { (percent(it.probability)) " %" },
                 html! { (amplitude) },
                 html! { (effect) },
                 wrapped(&it.experiment),
