@@ -8,7 +8,7 @@ use super::vials::refused;
 use super::{App, Error, Result};
 use crate::jobs::bench::WAITING_MAX;
 use flip_core::domain::bench::{BenchKind, Tick};
-use flip_core::domain::conditions::Conditions;
+use flip_core::domain::conditions::{Conditions, Under};
 use flip_core::domain::seed::derive;
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, OnOverdose, WeighRequest};
@@ -43,8 +43,8 @@ pub struct WeighingRequest {
     pub target: Target,
     /// Accepted error.
     pub tolerance: Tolerance,
-    /// Policy id; default the one with the smallest evaluated error for the powder, or the shipped
-    /// one if there is none.
+    /// Policy id; default the one with the smallest evaluated error for the powder under the same
+    /// version of the simulator, or the shipped one if there is none.
     pub policy: Option<String>,
     /// Seed of the simulated bench; by default each weighing gets its own.
     pub seed: Option<u64>,
@@ -186,7 +186,8 @@ impl App {
             let advice = format!("{message}: weigh it in portions{own}");
             return Err(FieldError::new("target.value", advice).into());
         }
-        let policy = self.policy_for(&powder, request.policy.as_deref()).await?;
+        let named = request.policy.as_deref();
+        let policy = self.policy_for(&powder, under.as_ref(), named).await?;
         let seed = match request.seed {
             Some(seed) => seed,
             // 53 bits, which every JSON reader preserves exactly.
@@ -211,12 +212,18 @@ impl App {
         Ok((request, set))
     }
 
-    async fn policy_for(&self, powder: &str, named: Option<&str>) -> Result<Policy> {
+    async fn policy_for(
+        &self,
+        powder: &str,
+        under: Option<&Under>,
+        named: Option<&str>,
+    ) -> Result<Policy> {
         let id = match named {
             Some(id) => id.to_owned(),
             None => {
                 let shipped = &shipped().id;
-                self.store().best_policy(powder, shipped).await?.unwrap_or_else(|| shipped.clone())
+                let best = self.store().best_policy(powder, under, shipped).await?;
+                best.unwrap_or_else(|| shipped.clone())
             }
         };
         self.store().policy(&id).await?.ok_or_else(|| {

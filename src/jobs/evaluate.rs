@@ -78,7 +78,8 @@ pub(super) fn perform(
     };
     let evidence: Vec<Option<&str>> =
         result.rows.iter().map(|row| about(spec, &policy, &rules, &row.controller)).collect();
-    host.finish(&Finished::Evaluation { result: &result, evidence: &evidence })
+    let under = spec.under.as_ref();
+    host.finish(&Finished::Evaluation { result: &result, evidence: &evidence, under })
 }
 
 /// What to weigh.
@@ -154,7 +155,7 @@ fn key(of: &Weighing<'_>) -> String {
 
 /// The policy whose ranking a controller's errors count towards, if any: only doses like those of a
 /// weighing, with its spoon, its balance and the rules that the policy was made for, are evidence
-/// of which policy weighs best.
+/// of which policy weighs best: under the same version of the simulator.
 fn about<'a>(
     spec: &'a EvaluationSpec,
     policy: &Policy,
@@ -162,13 +163,12 @@ fn about<'a>(
     controller: &str,
 ) -> Option<&'a str> {
     let usual_balance = spec.readability_mg == balance::Settings::default().readability_mg;
-    let is_base = spec.under.is_none();
     // The simulated spoon pitches no further than this, whatever the rules allow.
     let pitch = dispense::Settings::default().pitch;
     let on_it = |rules: &Rules| Rules { pitch: rules.pitch.within(pitch), ..*rules };
     let usual = |of: &Policy| {
         let same_rules = on_it(rules) == on_it(&of.manifest.rules);
-        is_base && spec.conditions.are_usual() && usual_balance && same_rules
+        spec.conditions.are_usual() && usual_balance && same_rules
     };
     let shipped = flip_policy::shipped();
     match controller {

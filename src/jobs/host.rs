@@ -10,6 +10,7 @@ use super::repose::ReposeResult;
 use super::spec::{CalibrationSpec, ReposeSpec};
 use super::train::TrainingResult;
 use flip_bench::hardware::wire::Exchange;
+use flip_core::domain::conditions::Under;
 use flip_core::domain::job::Progress;
 use flip_core::domain::parameters::ParameterSet;
 use flip_discover::report::Report;
@@ -136,8 +137,12 @@ pub(super) enum Finished<'a> {
     Calibration { spec: &'a CalibrationSpec, result: &'a CalibrationResult },
     /// The trained policy becomes available.
     Training { result: &'a TrainingResult, trained: &'a Trained },
-    /// For each row, the policy for which it is evidence, if any.
-    Evaluation { result: &'a EvaluationResult, evidence: &'a [Option<&'a str>] },
+    /// For each row, the policy for which it is evidence, if any: in weighings under this version.
+    Evaluation {
+        result: &'a EvaluationResult,
+        evidence: &'a [Option<&'a str>],
+        under: Option<&'a Under>,
+    },
     /// With the version of the simulator that it makes, if any.
     Investigation { report: &'a Report, version: Option<NewVersion<'a>> },
     /// A registered result becomes a measurement of the powder, with its source.

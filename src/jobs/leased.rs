@@ -171,9 +171,9 @@ impl LeasedJob {
                 let id = &result.policy;
                 tx.insert_policy(id, kind, Some(job), &manifest, &trained.artifact).await?;
             }
-            Finished::Evaluation { result, evidence } => {
+            Finished::Evaluation { result, evidence, under } => {
                 for ((position, row), policy) in (0..).zip(&result.rows).zip(*evidence) {
-                    tx.insert_evaluation_row(job, position, *policy, row).await?;
+                    tx.insert_evaluation_row(job, position, *policy, *under, row).await?;
                 }
             }
             Finished::Investigation { version, .. } => {
@@ -326,7 +326,7 @@ mod tests {
             job.save(Piece::Dose { key: "a dose", dose: &dose }),
             job.save_checkpoint(b"a checkpoint"),
             job.report(&Progress { fraction: 1.0, message: "dose 1 of 1".into() }),
-            job.finish(&Finished::Evaluation { result: &result, evidence: &[] }),
+            job.finish(&Finished::Evaluation { result: &result, evidence: &[], under: None }),
         ]
     }
 

@@ -216,7 +216,7 @@ impl Rig for Remembering {
     }
 }
 
-/// How many earlier doses informed the forecast of this one, by its record.
+/// How many earlier spoonfuls informed the forecast of this one, by its record.
 async fn informed_by(service: &Service, weighing: &Value) -> u64 {
     let id = weighing["weighing"]["id"].as_str().unwrap();
     let path = format!("/v1/audit?weighing={id}&limit=200");
@@ -224,7 +224,7 @@ async fn informed_by(service: &Service, weighing: &Value) -> u64 {
     let action = "forecast from earlier doses of the powder";
     let mut records = trail["items"].as_array().unwrap().iter();
     let found = records.find(|record| record["body"]["action"] == action);
-    found.map_or(0, |record| record["body"]["doses"].as_u64().unwrap())
+    found.map_or(0, |record| record["body"]["spoonfuls"].as_u64().unwrap())
 }
 
 #[tokio::test]

@@ -266,7 +266,7 @@ async fn forecasts(remembers: bool) -> Vec<Forecast> {
     let seen = Arc::new(Mutex::new(Vec::new()));
     let told = seen.clone();
     let pour = move |pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool| {
-        told.lock().unwrap().push(pouring.forecast);
+        told.lock().unwrap().push(pouring.expected.forecast);
         let mut poured = pour(pouring, on_event, stop);
         poured.ticks[1..].iter_mut().for_each(|tick| tick.action.shake_mm = 4.0);
         // The third one did not run its course: its results must not be used.

@@ -2,6 +2,7 @@
 
 use super::row::{Columns, json};
 use super::{Result, Store, Tx};
+use flip_core::domain::conditions::Under;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -95,17 +96,19 @@ impl Tx {
         Ok(())
     }
 
-    /// Store a row of an evaluation. `policy` is the policy the row counts for; `None` for other
-    /// controllers and under unusual conditions.
+    /// Store a row of an evaluation. `policy` is the policy the row counts for, in weighings under
+    /// this version; `None` for other controllers and unusual conditions.
     pub async fn insert_evaluation_row(
         &mut self,
         evaluation: &str,
         position: u32,
         policy: Option<&str>,
+        under: Option<&Under>,
         row: &EvaluationRow,
     ) -> Result<()> {
-        let sql = "INSERT INTO evaluation_row (evaluation, position, policy, powder, n, mae_mg, body) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
+        let sql = "INSERT INTO evaluation_row \
+                   (evaluation, position, policy, powder, n, mae_mg, body, under) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
         sqlx::query(sql)
             .bind(evaluation)
             .bind(position)
@@ -114,6 +117,7 @@ impl Tx {
             .bind(row.n)
             .bind(row.mae_mg)
             .bind(json(row)?)
+            .bind(under.map(json).transpose()?)
             .execute(&mut *self.inner)
             .await?;
         Ok(())

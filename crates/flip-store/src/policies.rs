@@ -2,8 +2,9 @@
 
 use super::artifacts::sha256_hex;
 use super::page::{Page, Window};
-use super::row::Columns;
+use super::row::{Columns, json};
 use super::{Error, Result, Store, Tx, now};
+use flip_core::domain::conditions::Under;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
@@ -24,7 +25,8 @@ pub struct Policy {
     pub sha256: String,
     /// Length of the bytes.
     pub size_bytes: u64,
-    /// Mean absolute errors from evaluations, one entry for each powder weighed in any.
+    /// Mean absolute errors from evaluations in the base simulator, one entry for each powder
+    /// weighed in any.
     pub evaluated: Vec<PolicyError>,
     /// When it was stored.
     pub created_at: Timestamp,
@@ -83,18 +85,27 @@ impl Store {
         }
     }
 
-    /// The policy with the smallest evaluated error on the powder; `None` unless `known`, which a
-    /// rival has to beat, was evaluated on it.
-    pub async fn best_policy(&self, powder: &str, known: &str) -> Result<Option<String>> {
-        let sql = "SELECT policy FROM evaluation_row WHERE powder = ?1 AND policy IS NOT NULL
-                   AND EXISTS (SELECT 1 FROM evaluation_row WHERE powder = ?1 AND policy = ?2)
+    /// The policy with the smallest evaluated error on the powder under this version of the
+    /// simulator and its conditions, or in the base; `None` unless `known`, which a rival has to
+    /// beat, was evaluated on it there.
+    pub async fn best_policy(
+        &self,
+        powder: &str,
+        under: Option<&Under>,
+        known: &str,
+    ) -> Result<Option<String>> {
+        let sql = "WITH here AS (SELECT policy, mae_mg, n FROM evaluation_row
+                                 WHERE powder = ?1 AND policy IS NOT NULL AND under IS ?3)
+                   SELECT policy FROM here WHERE EXISTS (SELECT 1 FROM here WHERE policy = ?2)
                    GROUP BY policy ORDER BY sum(mae_mg * n) / sum(n), policy <> ?2, policy LIMIT 1";
-        Ok(sqlx::query_scalar(sql).bind(powder).bind(known).fetch_optional(&self.reader).await?)
+        let under = under.map(json).transpose()?;
+        let best = sqlx::query_scalar(sql).bind(powder).bind(known).bind(under);
+        Ok(best.fetch_optional(&self.reader).await?)
     }
 
     async fn policy_errors(&self, policy: &str) -> Result<Vec<PolicyError>> {
         let sql = "SELECT powder, sum(mae_mg * n) / sum(n) AS mae_mg, sum(n) AS n FROM evaluation_row \
-                   WHERE policy = ?1 GROUP BY powder ORDER BY powder";
+                   WHERE policy = ?1 AND under IS NULL GROUP BY powder ORDER BY powder";
         let rows = sqlx::query(sql).bind(policy).fetch_all(&self.reader).await?;
         let error = |row: &SqliteRow| {
             Ok(PolicyError {

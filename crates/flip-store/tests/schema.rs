@@ -6,6 +6,7 @@
 //! `stored/checksums.txt` pins the migrations themselves: a released one never changes.
 
 use flip_core::domain::bench_check::CheckKind;
+use flip_core::domain::conditions::{Condition, Under};
 use flip_core::domain::job::JobKind;
 use flip_store::page::Window;
 use flip_store::spoonfuls::ShakesWanted;
@@ -209,6 +210,26 @@ async fn a_folder_of_every_schema_opens_with_all_its_rows_and_reads() {
         assert_eq!(store.held().await.unwrap().is_some(), level >= 16, "{level}");
         store.close().await;
     }
+}
+
+#[tokio::test]
+async fn the_policy_that_weighs_is_the_best_under_the_same_version_of_the_simulator() {
+    let folder = folder_of(25).await;
+    let store = Store::open(folder.path()).await.unwrap();
+    let under = |humidity: Option<f64>| Under {
+        simulator: "sv-0123456789abcdef".to_owned(),
+        conditions: humidity
+            .map(|it| ("relative_humidity_pct".to_owned(), Condition::Number(it)))
+            .into_iter()
+            .collect(),
+    };
+    let best = async |under: Option<&Under>| store.best_policy("salt", under, "p-1").await.unwrap();
+    assert_eq!(best(None).await.as_deref(), Some("p-1"));
+    assert_eq!(best(Some(&under(None))).await.as_deref(), Some("p-2"));
+    assert_eq!(best(Some(&under(Some(65.0)))).await, None, "nothing was weighed in such air");
+    let evaluated = store.policy("p-2").await.unwrap().unwrap().evaluated;
+    assert!(evaluated.is_empty(), "in the base it was not: {evaluated:?}");
+    store.close().await;
 }
 
 #[tokio::test]

@@ -4,8 +4,9 @@
 use super::lane::LaneThread;
 use crate::jobs::spoon::holds_mg;
 use flip_bench::rig::{Pouring, Simulation, Task};
-use flip_bench::weigh::forecast::{Fall, Forecast, onset_deg};
-use flip_bench::weigh::{Accuracy, Order, hangs};
+use flip_bench::weigh::earlier::Expected;
+use flip_bench::weigh::forecast::Fall;
+use flip_bench::weigh::{Accuracy, Order};
 use flip_core::domain::bench::Tick;
 use flip_core::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
 use flip_core::domain::vial::{Pan, PanCheck};
@@ -51,7 +52,6 @@ impl LaneThread {
             if !earlier.is_empty() {
                 self.record_earlier(&weighing.id, earlier.len()).await?;
             }
-            let hangs = hangs(Some(set.repose_deg));
             let class_pct = weighing.asked.accuracy_pct;
             Ok(Pouring {
                 task: Task {
@@ -75,11 +75,7 @@ impl LaneThread {
                     seed: weighing.seed,
                 },
                 shakes: shakes.map(|(_, line)| line),
-                forecast: Forecast::GENERIC.informed(&earlier, readability_mg),
-                hangs,
-                // Shakes that release nothing below the onset tell the guard what to expect of a
-                // powder that flows: only one that hangs is brought there unshaken.
-                onset_deg: onset_deg(&earlier, readability_mg).filter(|_| hangs > 0.0),
+                expected: Expected::of(set.repose_deg, &earlier, readability_mg),
                 spoon_mg: holds_mg(&self.rig.spoon(), std::iter::once(&set.parameters)),
                 pan: self.pan_check(weighing, pan, readability_mg),
                 probe: weighing.asked.probe,
@@ -87,12 +83,12 @@ impl LaneThread {
         })
     }
 
-    /// Falls of powder in earlier doses of this powder on such a bench, of those that ran their
-    /// course and are not forgotten; of its lot, if the weighing names one.
+    /// Spoonfuls of earlier doses of this powder on such a bench, of those that ran their course and
+    /// are not forgotten; of its lot, if the weighing names one.
     async fn earlier(&self, weighing: &Weighing) -> store::Result<Vec<Vec<Fall>>> {
         let (powder, lot) = (&weighing.powder, weighing.asked.lot.as_deref());
         let traces = self.store.traces_of(powder, lot, self.rig.kind(), REMEMBERED).await?;
-        let falls = |trace: &String| {
+        let spoonfuls = |trace: &String| {
             let bytes = self.store.artifacts().get(trace).map_err(|error| error.to_string())?;
             let ticks: Vec<Tick> =
                 serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
@@ -100,17 +96,17 @@ impl LaneThread {
         };
         // A dose whose trace is lost counts as unknown; the others are still used.
         let known = |trace: &String| {
-            falls(trace)
+            spoonfuls(trace)
                 .inspect_err(|error| tracing::warn!(trace, error, "an earlier dose cannot be read"))
                 .ok()
         };
-        Ok(traces.iter().filter_map(known).collect())
+        Ok(traces.iter().filter_map(known).flatten().collect())
     }
 
-    /// Records that a dose was forecast from earlier ones.
-    async fn record_earlier(&self, weighing: &str, doses: usize) -> store::Result<()> {
+    /// Records that a dose was forecast from these spoonfuls of earlier ones.
+    async fn record_earlier(&self, weighing: &str, spoonfuls: usize) -> store::Result<()> {
         let mut tx = self.store.write().await?;
-        let said = serde_json::json!({ "action": "forecast from earlier doses of the powder", "doses": doses });
+        let said = serde_json::json!({ "action": "forecast from earlier doses of the powder", "spoonfuls": spoonfuls });
         tx.audit(About { weighing: Some(weighing), kind: "decision" }, &said, now()).await?;
         tx.commit().await
     }

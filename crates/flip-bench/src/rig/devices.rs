@@ -143,17 +143,18 @@ pub(super) fn dose(
         }
     };
     let (task, stroke) = (&pouring.task, Some(station.stroke()));
-    let (accuracy, forecast, readings) = (task.accuracy, Some(pouring.forecast), file.readings);
+    let (accuracy, expected, readings) = (task.accuracy, pouring.expected, file.readings);
     let (life_s, rest_max_s, pan) = (readings.life_s, readings.stand_max_s, pouring.pan);
-    let (onset_deg, spoon_mg) = (pouring.onset_deg, pouring.spoon_mg);
+    let spoon_mg = pouring.spoon_mg;
     let settings = Settings {
         accuracy,
-        forecast,
+        forecast: Some(expected.forecast),
         life_s,
         rest_max_s,
         pan,
-        hangs: pouring.hangs,
-        onset_deg,
+        hangs: expected.hangs,
+        silent_share: expected.silent_share,
+        onset_deg: expected.onset_deg,
         spoon_mg,
         probe: pouring.probe,
         ..Settings::for_target(task.order.target_mg, spoon_mg)

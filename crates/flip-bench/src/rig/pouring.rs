@@ -1,6 +1,6 @@
 //! What a dose needs.
 
-use crate::weigh::forecast::Forecast;
+use crate::weigh::earlier::Expected;
 use crate::weigh::{self, Accuracy, Order};
 use flip_core::domain::bench_check::ShakeCalibration;
 use flip_core::domain::parameters::ParameterSet;
@@ -59,12 +59,8 @@ pub struct Pouring {
     pub simulation: Simulation,
     /// The arm's actual shakes against the commanded ones, if measured.
     pub shakes: Option<ShakeCalibration>,
-    /// Predicted behaviour of the powder.
-    pub forecast: Forecast,
-    /// Probability that a spoonful stops flowing while powder is left in it.
-    pub hangs: f64,
-    /// Pitch at which the powder began to flow in earlier doses, degrees, if known.
-    pub onset_deg: Option<f64>,
+    /// What is expected of the powder.
+    pub expected: Expected,
     /// What the spoon holds of the powder, mg, if known.
     pub spoon_mg: Option<f64>,
     /// The check of the display before anything moves.

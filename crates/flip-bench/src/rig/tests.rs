@@ -4,7 +4,7 @@ use super::*;
 use crate::emulate::arm::{Fault, Flow, FormulaSpoon};
 use crate::emulate::lab::{self, Laboratory};
 use crate::hardware::clock::Clock;
-use crate::weigh::forecast::Forecast;
+use crate::weigh::earlier::Expected;
 use crate::weigh::{Accuracy, Order};
 use flip_core::domain::apparatus::Apparatus;
 use flip_core::domain::bench::Tick;
@@ -82,9 +82,7 @@ fn pouring() -> Pouring {
             seed: 1,
         },
         shakes: None,
-        forecast: Forecast::GENERIC,
-        hangs: 0.0,
-        onset_deg: None,
+        expected: Expected::NOTHING,
         spoon_mg: None,
         pan: PanCheck::NONE,
         probe: None,

@@ -77,6 +77,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             piece_mg: readability_mg.max(NOISE_SDS * std::f64::consts::SQRT_2 * noise_mg),
             forecast: self.settings.forecast,
             hangs: self.settings.hangs,
+            silent_share: self.settings.silent_share,
             shake_mm_max: reach.shake_mm_max,
             ..usual
         }

@@ -39,11 +39,11 @@ use flip_core::domain::bench::{Action, Tick};
 use serde::{Deserialize, Serialize};
 
 /// Added to a mass before taking its logarithm, mg: anything less is dust.
-const DUST_MG: f64 = 0.3;
+pub(super) const DUST_MG: f64 = 0.3;
 /// While less than this has fallen in total, the first piece is still to come, mg.
-const PIECE_MG: f64 = 0.5;
+pub(super) const PIECE_MG: f64 = 0.5;
 /// Exponent of the amplitude in the size of the first piece.
-const FIRST_PER_LN_MM: f64 = 0.55;
+pub(super) const FIRST_PER_LN_MM: f64 = 0.55;
 /// SD of the difference of two rounded readings, in steps of the display: the root of a sixth.
 const ROUNDING: f64 = 0.41;
 /// Upper bound on the mass of a single fall, mg: where the search for a bound ends.
@@ -95,16 +95,22 @@ impl Fall {
         Shaking { pitch_deg: self.pitch_deg, shake_mm: self.shake_mm, strokes: self.strokes }
     }
 
-    /// The shakes of a dose and the result of each, from the actions and readings.
-    pub fn of(ticks: &[Tick]) -> Vec<Self> {
-        let shakes = ticks.windows(2).filter(|pair| pair[1].action.executed_shake_mm() > 0.0);
+    /// The shakes of each spoonful of a dose and their results, from the actions and readings.
+    pub fn of(ticks: &[Tick]) -> Vec<Vec<Self>> {
+        let shaken = |pair: &&[Tick]| pair[1].action.executed_shake_mm() > 0.0;
         let fall = |pair: &[Tick]| Self {
             pitch_deg: pair[1].pitch_deg,
             shake_mm: pair[1].action.shake_mm,
             strokes: pair[1].action.strokes,
             mass_mg: pair[1].reading.mass_mg - pair[0].reading.mass_mg,
         };
-        shakes.map(fall).collect()
+        let spoonfuls = ticks.chunk_by(|a, b| a.spoonful == b.spoonful);
+        spoonfuls.map(|ticks| ticks.windows(2).filter(shaken).map(fall).collect()).collect()
+    }
+
+    /// Whether it says something of the level.
+    pub(super) fn is_known(&self) -> bool {
+        self.shake_mm > 0.0 && self.mass_mg.is_finite()
     }
 }
 
@@ -154,24 +160,6 @@ impl Forecast {
         first_sd: 1.0,
     };
 
-    /// The prior updated with earlier doses of the powder, each given by its shakes in order.
-    ///
-    /// The initial levels of those doses, referred to 0 deg and 1 mm, and the logarithms of their
-    /// first pieces, are draws around the powder's own values; half of the prior's variance is
-    /// assumed to be between powders and half between doses of one powder, so that n doses leave
-    /// the fraction 1/2 + 1/(2 (n + 1)) of it:
-    ///
-    /// ```text
-    /// mean = (prior + sum of x_i) / (n + 1)          variance = V / 2 + V / (2 (n + 1))
-    /// ```
-    pub fn informed(&self, doses: &[Vec<Fall>], readability_mg: f64) -> Self {
-        let levels = doses.iter().filter_map(|falls| self.first_level(falls, readability_mg));
-        let firsts = doses.iter().filter_map(|falls| self.first_piece(falls));
-        let (level, level_sd) = pooled(self.level, self.level_sd, levels);
-        let (first_ln_mg, first_sd) = pooled(self.first_ln_mg, self.first_sd, firsts);
-        Self { level, level_sd, first_ln_mg, first_sd, ..*self }
-    }
-
     /// Probability that this shake releases more than `room_mg`.
     pub fn chance_above(
         &self,
@@ -220,57 +208,53 @@ impl Forecast {
     }
 
     /// Mean and variance of the level of a shake, after these.
-    fn filtered(&self, falls: &[Fall], readability_mg: f64, shake: Shaking) -> (f64, f64) {
-        let place = |shake: Shaking| {
-            let by_strokes = libm::log(f64::from(shake.strokes.max(1)));
-            self.per_deg * shake.pitch_deg + self.per_ln_mm * libm::log(shake.shake_mm) + by_strokes
-        };
+    pub(super) fn filtered(
+        &self,
+        falls: &[Fall],
+        readability_mg: f64,
+        shake: Shaking,
+    ) -> (f64, f64) {
         // The level with its pitch and amplitude terms removed: only randomness and depletion
         // change it.
-        let (mut at, mut variance) = (self.level, self.level_sd.powi(2));
-        for fall in falls.iter().filter(|fall| fall.shake_mm > 0.0 && fall.mass_mg.is_finite()) {
-            let mass_mg = fall.mass_mg.max(0.0) + DUST_MG;
-            let noise = self.scatter.powi(2) + (ROUNDING * readability_mg / mass_mg).powi(2);
-            let gain = variance / (variance + noise);
-            at += gain * (libm::log(mass_mg) - place(fall.shaking()) - at);
-            variance *= 1.0 - gain;
-            at -= f64::from(fall.strokes) * self.spent;
-            variance += self.wander.powi(2);
+        let mut level = Level { at: self.level, variance: self.level_sd.powi(2) };
+        for fall in falls.iter().filter(|fall| fall.is_known()) {
+            level.learn(self, fall, readability_mg);
         }
-        (at + place(shake), variance)
+        (level.at + self.place(shake), level.variance)
     }
 
-    /// Initial level of a dose, at 0 deg and 1 mm: the filter's estimate from its first shakes up
-    /// to the first piece.
-    fn first_level(&self, falls: &[Fall], readability_mg: f64) -> Option<f64> {
-        let n = 1 + falls.iter().position(|fall| fall.mass_mg >= PIECE_MG)?;
-        let strokes: u32 = falls[..n].iter().map(|fall| fall.strokes).sum();
-        let level = self.filtered(&falls[..n], readability_mg, Shaking::once(0.0, 1.0)).0;
-        Some(level + self.spent * f64::from(strokes))
-    }
-
-    /// Logarithm of a dose's first piece, referred to a shake of 1 mm.
-    fn first_piece(&self, falls: &[Fall]) -> Option<f64> {
-        let fall = falls.iter().find(|fall| fall.mass_mg >= PIECE_MG && fall.shake_mm > 0.0)?;
-        Some(libm::log(fall.mass_mg) - FIRST_PER_LN_MM * libm::log(fall.shake_mm))
+    /// What the pitch, the amplitude and the number of strokes add to the level.
+    fn place(&self, shake: Shaking) -> f64 {
+        let by_strokes = libm::log(f64::from(shake.strokes.max(1)));
+        self.per_deg * shake.pitch_deg + self.per_ln_mm * libm::log(shake.shake_mm) + by_strokes
     }
 }
 
-/// Pitch at which a powder began to flow, degrees: the median, over its doses, of the pitch of the
-/// first shake that released a piece; `None` if none did.
-pub fn onset_deg(doses: &[Vec<Fall>], readability_mg: f64) -> Option<f64> {
-    let piece_mg = readability_mg.max(PIECE_MG) - 1e-9;
-    let first = |falls: &Vec<Fall>| falls.iter().find(|fall| fall.mass_mg >= piece_mg).copied();
-    let mut pitches: Vec<f64> = doses.iter().filter_map(first).map(|it| it.pitch_deg).collect();
-    pitches.sort_by(f64::total_cmp);
-    pitches.get(pitches.len() / 2).copied()
+/// The level at 0 deg and 1 mm before a shake: its mean and variance.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Level {
+    pub(super) at: f64,
+    pub(super) variance: f64,
 }
 
-/// Posterior mean and standard deviation after these draws, of a prior with half of its variance
-/// between powders.
-fn pooled(mean: f64, sd: f64, draws: impl Iterator<Item = f64>) -> (f64, f64) {
-    let (n, sum) = draws.fold((0.0, mean), |(n, sum), x| (n + 1.0, sum + x));
-    (sum / (n + 1.0), sd * (0.5 + 0.5 / (n + 1.0)).sqrt())
+impl Level {
+    /// A step of the filter. Returns how far the fall was from what was expected, and the variance
+    /// expected of that.
+    pub(super) fn learn(
+        &mut self,
+        forecast: &Forecast,
+        fall: &Fall,
+        readability_mg: f64,
+    ) -> [f64; 2] {
+        let mass_mg = fall.mass_mg.max(0.0) + DUST_MG;
+        let noise = forecast.scatter.powi(2) + (ROUNDING * readability_mg / mass_mg).powi(2);
+        let expected = self.variance + noise;
+        let gain = self.variance / expected;
+        let surprise = libm::log(mass_mg) - forecast.place(fall.shaking()) - self.at;
+        self.at += gain * surprise - f64::from(fall.strokes) * forecast.spent;
+        self.variance = self.variance * (1.0 - gain) + forecast.wander.powi(2);
+        [surprise, expected]
+    }
 }
 
 /// The distribution of the next fall.
@@ -387,25 +371,6 @@ mod tests {
     }
 
     #[test]
-    fn a_powder_that_came_in_large_pieces_before_is_expected_to_do_so_again() {
-        let doses = |mass_mg: f64| vec![vec![fall(8.0, 3.0, 0.0), fall(12.0, 3.0, mass_mg)]; 5];
-        let upper = |forecast: &Forecast| forecast.upper_mg(&[], 1.0, Shaking::once(12.0, 3.0));
-        let [small, large] =
-            [1.0, 12.0].map(|mass_mg| upper(&GENERIC.informed(&doses(mass_mg), 1.0)));
-        assert!(
-            small < upper(&GENERIC) && upper(&GENERIC) < large,
-            "{small} {} {large}",
-            upper(&GENERIC)
-        );
-        assert_eq!(GENERIC.informed(&[], 1.0), GENERIC);
-        assert_eq!(
-            GENERIC.informed(&[vec![fall(8.0, 3.0, 0.0)]], 1.0),
-            GENERIC,
-            "a dose without a piece says nothing"
-        );
-    }
-
-    #[test]
     fn more_strokes_before_a_reading_may_let_more_fall_and_say_more_about_each() {
         let strokes = |strokes| Shaking { strokes, ..Shaking::once(40.0, 4.0) };
         for falls in [vec![], vec![fall(38.0, 4.0, 1.0), fall(40.0, 4.0, 1.0)]] {
@@ -419,15 +384,6 @@ mod tests {
             free.filtered(&[fell], 0.0, Shaking::once(40.0, 4.0)).0
         };
         assert!((level(8, 8.0) - level(1, 1.0)).abs() < 1e-6);
-    }
-
-    #[test]
-    fn a_powders_onset_is_the_median_pitch_of_its_first_pieces() {
-        let dose =
-            |onset: f64| vec![fall(8.0, 3.0, 0.0), fall(onset, 3.0, 2.0), fall(50.0, 3.0, 9.0)];
-        assert_eq!(onset_deg(&[dose(46.0), dose(20.0), dose(48.0)], 1.0), Some(46.0));
-        assert_eq!(onset_deg(&[vec![fall(8.0, 3.0, 0.4)]], 0.1), None);
-        assert_eq!(onset_deg(&[], 1.0), None);
     }
 
     #[test]

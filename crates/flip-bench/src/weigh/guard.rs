@@ -47,6 +47,9 @@ pub struct Limits {
     /// Probability that a spoonful of the powder stops flowing while powder is left in it. Default
     /// 0: shakes that should release something do.
     pub hangs: f64,
+    /// Share of silent shakes in earlier spoonfuls of the powder while they flowed
+    /// ([`silent_share`](super::earlier::silent_share)), if known.
+    pub silent_share: Option<f64>,
     /// Prior probability that a display is stuck. Default 0.003: far above that of real balances,
     /// because poured powder cannot be taken back (cost and benefit in `docs/reliability.md`). 0:
     /// the display is trusted.
@@ -81,6 +84,7 @@ impl Limits {
             blocked_strokes: 2 * STROKES_MAX - 1,
             deaf_shakes: 8.0,
             hangs: 0.0,
+            silent_share: None,
             stands_still: 0.003,
             readability_mg: 1.0,
             piece_mg: 1.0,
@@ -304,7 +308,7 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     }
     let silence = match (limits.forecast, seen.unproven) {
         (Some(_), None) => Silence::after(seen.falls, limits.readability_mg, limits.stands_still)
-            .map(|silence| silence.unless(limits.hangs)),
+            .map(|silence| silence.unless(limits.hangs).as_before(limits.silent_share)),
         _ => None,
     };
     if seen.steps >= limits.steps_max {

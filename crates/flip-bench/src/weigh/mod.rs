@@ -22,6 +22,7 @@
 
 mod closer;
 mod dosing;
+pub mod earlier;
 mod ending;
 mod event;
 pub mod forecast;

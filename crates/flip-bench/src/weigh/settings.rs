@@ -41,7 +41,9 @@ pub struct Settings {
     /// Probability that a spoonful of the powder stops flowing while powder is left in it
     /// ([`hangs`]).
     pub hangs: f64,
-    /// Pitch at which the powder began to flow in earlier doses, degrees, if known.
+    /// Share of silent shakes in earlier spoonfuls of the powder while they flowed, if known.
+    pub silent_share: Option<f64>,
+    /// Pitch at which the powder began to flow in earlier spoonfuls, degrees, if known.
     pub onset_deg: Option<f64>,
     /// What a full spoon holds, mg, if known.
     pub spoon_mg: Option<f64>,
@@ -68,6 +70,7 @@ impl Settings {
         life_s: 60.0,
         strict: true,
         hangs: 0.0,
+        silent_share: None,
         onset_deg: None,
         spoon_mg: None,
         spoonfuls_max: 3,

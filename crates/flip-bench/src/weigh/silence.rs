@@ -114,6 +114,14 @@ impl Silence {
         Some(Self { shakes, still, live, stands_still, shown_mg, hidden })
     }
 
+    /// The same silence of a powder whose shakes were silent in this share, if known, while it
+    /// flowed: n in a row then happen with at least the n-th power of it on a display that is alive.
+    #[must_use]
+    pub fn as_before(self, share: Option<f64>) -> Self {
+        let chance = share.map_or(0.0, |share| libm::pow(share, self.shakes as f64));
+        self.unless(chance)
+    }
+
     /// The same silence of a powder that stops flowing with this probability while powder is left: a
     /// display that is alive is then silent with at least that probability.
     #[must_use]
@@ -234,6 +242,17 @@ mod tests {
         let falls = [&falls[..], &[fall(6.0, 1.0, 0.0), fall(9.0, 1.0, 0.0), fall(13.0, 1.0, 0.0)]]
             .concat();
         assert!(after(&falls, 0.1).still < 0.05, "{}", after(&falls, 0.1).still);
+    }
+
+    #[test]
+    fn silence_of_a_powder_that_was_often_silent_is_less_of_a_sign_and_a_long_one_still_is() {
+        let as_before = |silent, share| after(&course(silent), 0.1).as_before(share).still;
+        let model = |silent| after(&course(silent), 0.1).still;
+        assert_eq!(as_before(3, None).to_bits(), model(3).to_bits());
+        assert!(as_before(3, Some(0.5)) < 0.03 && 0.03 < model(3), "{}", model(3));
+        assert!((as_before(3, Some(0.5)) - 0.003 / (0.003 + 0.125)).abs() < 1e-12);
+        assert!(as_before(9, Some(0.5)) > 0.5, "{}", as_before(9, Some(0.5)));
+        assert_eq!(as_before(3, Some(1e-9)).to_bits(), model(3).to_bits(), "it never adds doubt");
     }
 
     #[test]
