@@ -2,7 +2,8 @@
 //! each written down once scored, so the run can be stopped and resumed. `NULLS` campaigns of each
 //! kind without an effect, `EFFECTS` of each kind with one and solvers of each kind, `WHOLE`
 //! campaigns with simulated heaps, seeds from `FIRST` on; a single part with `ONLY=angles`,
-//! `solvers`, `campaigns`, `traces` or `spoon` (on the first `POWDERS` of four powders).
+//! `solvers`, `campaigns`, `traces` or `spoon` (on the first `POWDERS` of four powders, each cause
+//! replayed `REPEATS` times at each amplitude).
 
 mod campaigns;
 // Its own tests use more of it.
@@ -76,7 +77,12 @@ fn main() {
         let wanted = spoon_rates::wanted(first..first + nulls, first..first + effects);
         print!(
             "{}",
-            spoon_rates::table(&spoon_rates::scored(&folder, &wanted, count("POWDERS", 4)))
+            spoon_rates::table(&spoon_rates::scored(
+                &folder,
+                &wanted,
+                count("POWDERS", 4),
+                count("REPEATS", 1) as u32
+            ))
         );
     }
 }

@@ -137,8 +137,8 @@ pub fn wanted(nulls: std::ops::Range<u64>, effects: std::ops::Range<u64>) -> Vec
 }
 
 /// Those in the file, and the others, each written as soon as it is judged: one line for a balance.
-/// Seeds take turns with the first so many powders.
-pub fn scored(folder: &Path, wanted: &[Asked], powders: u64) -> Vec<SpoonScored> {
+/// Seeds take turns with the first so many powders; causes are replayed so often at each amplitude.
+pub fn scored(folder: &Path, wanted: &[Asked], powders: u64, repeats: u32) -> Vec<SpoonScored> {
     let bench = Bench::new(WHOLE, Some(folder.join("spoon_replays.jsonl")));
     let angles = ANGLES_DEG.iter().take(powders.clamp(1, 4) as usize);
     let powders: Vec<Powder> = angles.map(|deg| bench.powder(*deg)).collect();
@@ -147,9 +147,13 @@ pub fn scored(folder: &Path, wanted: &[Asked], powders: u64) -> Vec<SpoonScored>
     let key = |it: &Vec<SpoonScored>| (it[0].hidden.clone(), it[0].seed);
     let one = |(hidden, seed): &(String, u64)| {
         let mechanism = Mechanism::ALL.into_iter().find(|it| it.name() == hidden);
-        score(&bench, &powders[*seed as usize % powders.len()], mechanism, *seed)
+        score(&bench, &powders[*seed as usize % powders.len()], mechanism, *seed, repeats)
     };
-    kept(&folder.join("scored_spoon.jsonl"), &asked, key, one).concat()
+    let file = match repeats {
+        1 => "scored_spoon.jsonl".to_owned(),
+        _ => format!("scored_spoon_{repeats}.jsonl"),
+    };
+    kept(&folder.join(file), &asked, key, one).concat()
 }
 
 /// Both balances before one bench.
@@ -158,6 +162,7 @@ fn score(
     powder: &Powder,
     mechanism: Option<Mechanism>,
     seed: u64,
+    repeats: u32,
 ) -> Vec<SpoonScored> {
     let own = derive(seed, &[mechanism.map_or(0, |it| 1 + it as u64)]);
     let truth = bench.truth(mechanism, powder.angle_deg, own);
@@ -165,7 +170,9 @@ fn score(
     let one = |balance: Balance| {
         let begun = std::time::Instant::now();
         let weighed = bench.weighed(&poured, balance, own);
-        let settings = Settings { seed: own, ..Settings::default() };
+        let usual = Settings::default();
+        let replays = usual.replays * repeats;
+        let settings = Settings { seed: own, repeats, replays, ..usual };
         let report = bench.judged(powder, true, &weighed, &settings);
         let wall_s = begun.elapsed().as_secs_f64();
         SpoonScored { wall_s, seed, ..of(&report, powder, &truth, balance) }

@@ -189,10 +189,15 @@ impl Forecast {
         high
     }
 
-    /// Expected ratio of the yield of a stroke at this pitch and amplitude to that of `reference`.
-    pub fn worth(&self, fall: &Fall, reference: &Fall) -> f64 {
-        let by_amplitude = self.per_ln_mm * libm::log(fall.shake_mm / reference.shake_mm);
-        libm::exp(self.per_deg * (fall.pitch_deg - reference.pitch_deg) + by_amplitude)
+    /// Probability that the last `silent` of these shakes each released less than half a step of
+    /// the display, given those before: each silent one makes the next less surprising.
+    pub fn silent_chance(&self, falls: &[Fall], silent: usize, readability_mg: f64) -> f64 {
+        let flowed = falls.len().saturating_sub(silent);
+        let one = |k: usize| {
+            let shake = falls[k].shaking();
+            1.0 - self.chance_above(&falls[..k], readability_mg, shake, readability_mg / 2.0)
+        };
+        (flowed..falls.len()).map(one).product()
     }
 
     fn next(&self, falls: &[Fall], readability_mg: f64, shake: Shaking) -> Next {

@@ -40,10 +40,10 @@ pub struct Limits {
     /// This many full strokes in a row at the end of the pitch that release nothing mean a blocked
     /// spoon. Default 15: one, two, four and eight (`ladder.rs`).
     pub blocked_strokes: u32,
-    /// If shakes that together should release this many times the last yield release nothing, the
-    /// spoon is blocked or the balance is stuck, unless the powder is one that hangs. Default 8: the
-    /// gentlest shakes at the end of a dose may take five for one step of the display.
-    pub deaf_shakes: f64,
+    /// Where there is no forecast, of a powder that does not hang: so many shakes like the last one that released something which
+    /// release nothing mean a blocked spoon or a stuck balance. Default 8: the gentlest shakes at
+    /// the end of a dose may take five for one step of the display.
+    pub deaf_shakes: u32,
     /// Probability that a spoonful of the powder stops flowing while powder is left in it. Default
     /// 0: shakes that should release something do.
     pub hangs: f64,
@@ -82,7 +82,7 @@ impl Limits {
             fall_mg_max: Self::FALL_MG_MAX,
             rise_mg_max: 3.0,
             blocked_strokes: 2 * STROKES_MAX - 1,
-            deaf_shakes: 8.0,
+            deaf_shakes: 8,
             hangs: 0.0,
             silent_share: None,
             stands_still: 0.003,
@@ -207,8 +207,8 @@ pub enum Halt {
         /// The end of the pitch, degrees.
         pitch_deg: f64,
     },
-    /// A spoon that released powder before no longer does, or the display should have changed by
-    /// now and the mass it may hide leaves no room.
+    /// A spoon that released powder before no longer does and the display is all but surely stuck, or
+    /// it may be and the mass that it may hide leaves no room.
     #[error(
         "{shakes} shakes that should have given something gave nothing: the spoon is empty or blocked, or the balance stands still"
     )]
@@ -306,11 +306,12 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     if seen.now.mass_mg >= seen.target_mg {
         return Err(Halt::TargetReached);
     }
-    let silence = match (limits.forecast, seen.unproven) {
-        (Some(_), None) => Silence::after(seen.falls, limits.readability_mg, limits.stands_still)
-            .map(|silence| silence.unless(limits.hangs).as_before(limits.silent_share)),
-        _ => None,
-    };
+    let silence = limits.forecast.filter(|_| seen.unproven.is_none()).and_then(|forecast| {
+        let (falls, readability_mg) = (seen.falls, limits.readability_mg);
+        let silence = Silence::after(falls, readability_mg, limits.stands_still)?;
+        let forecast = forecast.silent_chance(falls, silence.shakes, readability_mg);
+        Some(silence.unless(limits.hangs).as_before(limits.silent_share).unless(forecast))
+    });
     if seen.steps >= limits.steps_max {
         let still = silence.filter(Silence::is_still);
         return Err(still.map_or(Halt::StepsSpent, |it| Halt::Deaf { shakes: it.shakes }));
@@ -324,7 +325,8 @@ pub fn guard(limits: &Limits, seen: &Situation<'_>, proposed: Action) -> Result<
     {
         return Err(Halt::Blocked { strokes, pitch_deg: limits.pitch.upper_deg });
     }
-    if let Some(shakes) = deaf(limits, seen.falls).filter(|_| seen.unproven.is_none()) {
+    let stuck = silence.as_ref().filter(|it| it.is_surely_still()).map(|it| it.shakes);
+    if let Some(shakes) = stuck.or_else(|| deaf(limits, seen)) {
         return Err(Halt::Deaf { shakes });
     }
     if !proposed.incline_change_deg.is_finite() || !proposed.shake_mm.is_finite() {
@@ -396,21 +398,21 @@ pub(super) fn silent_at_the_end(limits: &Limits, falls: &[Fall]) -> Option<u32> 
     (strokes > 0).then_some(strokes)
 }
 
-/// How many shakes released nothing since the last fall, if those at no lower pitch and no smaller
-/// amplitude were together worth many times that one.
-fn deaf(limits: &Limits, falls: &[Fall]) -> Option<usize> {
+/// Without a forecast: how many shakes released nothing since the last fall, if there were too many
+/// of them at no lower pitch and no smaller amplitude.
+fn deaf(limits: &Limits, seen: &Situation<'_>) -> Option<usize> {
+    let hangs = limits.hangs > limits.stands_still;
+    if limits.forecast.is_some() || seen.unproven.is_some() || hangs {
+        return None;
+    }
     let gave = |fall: &Fall| fall.mass_mg >= limits.piece_mg - 1e-9;
-    let last = falls.iter().rposition(gave)?;
-    let (since, last) = (&falls[last + 1..], falls[last]);
+    let last = seen.falls.iter().rposition(gave)?;
+    let (since, last) = (&seen.falls[last + 1..], seen.falls[last]);
     let should_give = |fall: &&Fall| {
         fall.pitch_deg > last.pitch_deg - AT_THE_END_DEG && fall.shake_mm >= FULL * last.shake_mm
     };
-    let worth = |fall: &Fall| {
-        let stroke = limits.forecast.map_or(1.0, |forecast| forecast.worth(fall, &last));
-        f64::from(fall.strokes) * stroke
-    };
-    let all: f64 = since.iter().filter(should_give).map(worth).sum();
-    (all >= limits.deaf_shakes && limits.hangs <= limits.stands_still).then_some(since.len())
+    let strokes: u32 = since.iter().filter(should_give).map(|fall| fall.strokes).sum();
+    (strokes >= limits.deaf_shakes).then_some(since.len())
 }
 
 fn bounded(limits: &Limits, pitch_deg: f64, proposed: Action) -> Action {

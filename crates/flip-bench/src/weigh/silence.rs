@@ -27,8 +27,10 @@ use std::sync::LazyLock;
 const GUESSES: usize = 384;
 /// Nodes for the expectation over the mass that should have fallen.
 const NODES: usize = 16;
-/// Probability from which a display counts as stuck.
+/// Probability from which a display counts as stuck,
 const RATHER: f64 = 0.5;
+/// and from which nothing else is tried.
+const SURELY: f64 = 0.9;
 
 /// Spoon model.
 const RESPONSE: Response = Response::FITTED;
@@ -133,6 +135,11 @@ impl Silence {
     /// Whether the display is more likely stuck than not.
     pub fn is_still(&self) -> bool {
         self.still > RATHER
+    }
+
+    /// Whether hardly anything speaks for a display that is alive.
+    pub fn is_surely_still(&self) -> bool {
+        self.still > SURELY
     }
 
     /// Probability that a shake releases more than `room_mg`, including the mass that has fallen
