@@ -25,6 +25,10 @@ const LN_SCATTER_SD: f64 = 0.3;
 const NODES: usize = 9;
 /// Variance of the level of a spoonful of which nothing is known: a factor of 50 either way.
 const UNKNOWN: f64 = 16.0;
+/// Shakes that the prior of a piece's probability is worth.
+const WAITED: f64 = 8.0;
+/// Powders of a larger angle of repose must be agitated (USP <1174>): they come in pieces.
+const AGITATED_DEG: f64 = 45.0;
 /// Fewest shakes from which a share of silent ones is said.
 const SHAKES_MIN: usize = 10;
 /// Fewest spoonfuls from which the pitch is said at which a powder begins to flow.
@@ -51,8 +55,12 @@ impl Expected {
     /// Of a powder with this angle of repose, after these spoonfuls of it, each given by its shakes
     /// in order.
     pub fn of(repose_deg: f64, earlier: &[Vec<Fall>], readability_mg: f64) -> Self {
+        let forecast = match repose_deg > AGITATED_DEG {
+            true => Forecast::GENERIC.in_pieces(),
+            false => Forecast::GENERIC,
+        };
         Self {
-            forecast: Forecast::GENERIC.informed(earlier, readability_mg),
+            forecast: forecast.informed(earlier, readability_mg),
             hangs: hangs(Some(repose_deg)),
             silent_share: silent_share(earlier, readability_mg),
             onset_deg: onset_deg(earlier, readability_mg),
@@ -78,10 +86,42 @@ impl Forecast {
     pub fn informed(&self, spoonfuls: &[Vec<Fall>], readability_mg: f64) -> Self {
         let prior = self.with_slope(spoonfuls, readability_mg);
         let levels = spoonfuls.iter().filter_map(|falls| prior.first_level(falls, readability_mg));
-        let firsts = spoonfuls.iter().filter_map(|falls| first_piece(falls));
+        let firsts = spoonfuls.iter().flat_map(|falls| prior.pieces(falls));
         let (level, level_sd) = pooled(prior.level, prior.level_sd, levels);
         let (first_ln_mg, first_sd) = pooled(prior.first_ln_mg, prior.first_sd, firsts);
-        Self { level, level_sd, first_ln_mg, first_sd, ..prior }
+        let first_chance =
+            if self.in_pieces { self.piece_chance(spoonfuls) } else { self.first_chance };
+        Self { level, level_sd, first_chance, first_ln_mg, first_sd, ..prior }
+    }
+
+    /// Shakes of a spoonful before which nothing fell: before the first piece, and after each silent
+    /// shake where the powder comes in pieces.
+    fn waited<'f>(&self, falls: &'f [Fall]) -> impl Iterator<Item = &'f Fall> {
+        let in_pieces = self.in_pieces;
+        let waits = move |k: usize| match in_pieces {
+            true => k == 0 || falls[k - 1].mass_mg < PIECE_MG,
+            false => falls[..k].iter().all(|fall| fall.mass_mg < PIECE_MG),
+        };
+        let shaken = falls.iter().enumerate().filter(|(_, fall)| fall.is_known());
+        shaken.filter(move |(k, _)| waits(*k)).map(|(_, fall)| fall)
+    }
+
+    /// Logarithms of the pieces of a spoonful that came after nothing, referred to a shake of 1 mm.
+    fn pieces(&self, falls: &[Fall]) -> Vec<f64> {
+        let ln = |fall: &Fall| libm::log(fall.mass_mg) - FIRST_PER_LN_MM * libm::log(fall.shake_mm);
+        self.waited(falls).filter(|fall| fall.mass_mg >= PIECE_MG).map(ln).collect()
+    }
+
+    /// Probability of such a piece: the prior counts as [`WAITED`] shakes. Only shakes after the first
+    /// piece count: those before it may have been below the onset.
+    fn piece_chance(&self, spoonfuls: &[Vec<Fall>]) -> f64 {
+        let flowing = spoonfuls.iter().filter_map(|falls| Some(&falls[first(falls, PIECE_MG)?..]));
+        let (mut shakes, mut pieces) = (WAITED, WAITED * self.first_chance);
+        for fall in flowing.flat_map(|falls| self.waited(falls).skip(1)) {
+            shakes += 1.0;
+            pieces += if fall.mass_mg >= PIECE_MG { 1.0 } else { 0.0 };
+        }
+        pieces / shakes
     }
 
     /// The same with the slope and the scatter of these spoonfuls.
@@ -169,12 +209,6 @@ pub fn silent_share(spoonfuls: &[Vec<Fall>], readability_mg: f64) -> Option<f64>
 /// Index of the first fall of this mass.
 fn first(falls: &[Fall], piece_mg: f64) -> Option<usize> {
     falls.iter().position(|fall| fall.mass_mg >= piece_mg)
-}
-
-/// Logarithm of a spoonful's first piece, referred to a shake of 1 mm.
-fn first_piece(falls: &[Fall]) -> Option<f64> {
-    let fall = falls.iter().find(|fall| fall.mass_mg >= PIECE_MG && fall.shake_mm > 0.0)?;
-    Some(libm::log(fall.mass_mg) - FIRST_PER_LN_MM * libm::log(fall.shake_mm))
 }
 
 /// Posterior mean and standard deviation after these draws, of a prior with half of its variance
@@ -278,6 +312,36 @@ mod tests {
         let same = Forecast { scatter: GENERIC.scatter, ..informed };
         assert!((at(&same, mean_deg) / at(&GENERIC, mean_deg)).ln().abs() < 0.02);
         assert!(at(&same, mean_deg + 10.0) > at(&GENERIC, mean_deg + 10.0));
+    }
+
+    #[test]
+    fn a_powder_that_comes_in_pieces_may_free_one_after_any_silence() {
+        let dose = |piece_mg: f64| {
+            let silent = |n: usize| vec![fall(60.0, 4.0, 0.0); n];
+            let piece = || vec![fall(60.0, 4.0, piece_mg)];
+            [silent(6), piece(), silent(3), piece(), silent(3), piece()].concat()
+        };
+        let sticky = GENERIC.in_pieces();
+        let quiet = [dose(2.0), vec![fall(60.0, 4.0, 0.0); 3]].concat();
+        let chance = |of: &Forecast| of.chance_above(&quiet, 1.0, Shaking::once(60.0, 4.0), 8.0);
+        // A piece above 8 mg from 4 mm: 0.12 of the normal tail beyond (ln 8 - 0.14 - 0.55 ln 4) / 1.
+        let piece = 0.12 * 0.1196;
+        let more = chance(&sticky) - (1.0 - 0.12) * chance(&GENERIC);
+        assert!((more - piece).abs() < 1e-4, "{more}");
+        // Not right after a piece: then the level says what follows.
+        let fell = dose(2.0);
+        let after =
+            |of: &Forecast| of.chance_above(&fell, 1.0, Shaking::once(60.0, 4.0), 8.0).to_bits();
+        assert_eq!(after(&sticky), after(&GENERIC));
+        let [small, large] =
+            [1.0, 8.0].map(|mg| chance(&sticky.informed(&[dose(mg), dose(mg)], 1.0)));
+        assert!(small < chance(&sticky) && chance(&sticky) < large, "{small} {large}");
+        // After the first piece, two more in six shakes that followed a silent one, twice.
+        let known = sticky.informed(&[dose(2.0), dose(2.0)], 1.0);
+        assert!((known.first_chance - (0.96 + 4.0) / (8.0 + 12.0)).abs() < 1e-12);
+        assert_eq!(GENERIC.informed(&[dose(2.0)], 1.0).first_chance, GENERIC.first_chance);
+        let expected = |deg: f64| Expected::of(deg, &[], 1.0).forecast;
+        assert_eq!((expected(45.0), expected(46.0)), (GENERIC, sticky));
     }
 
     #[test]

@@ -10,7 +10,9 @@
 //! ```
 //!
 //! Every stroke of it is forecast and bounded by the guard like any other. A spoon known to be
-//! almost empty goes to rung 4 at once.
+//! almost empty goes to rung 4 at once; so does a powder that comes in pieces
+//! ([`Forecast::in_pieces`](super::forecast::Forecast::in_pieces)) and is silent at the end of the
+//! pitch: what its next piece may weigh leaves only gentle shakes, and a new spoonful flows at less.
 
 use super::dosing::Course;
 use super::forecast::Fall;
@@ -28,6 +30,8 @@ pub(super) const EMPTY: f64 = 0.85;
 const PORTION: f64 = 0.8;
 /// Full strokes at the end of the pitch that release nothing after which such a spoonful is spent.
 const SPENT_STROKES: u32 = 3;
+/// Silent shakes at the end of the pitch after which a powder that comes in pieces gets a new spoonful.
+const SILENT_PIECES: usize = 6;
 /// Most of what is missing that one step may be expected to release.
 const AT_ONCE: f64 = 0.5;
 
@@ -94,6 +98,9 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     /// or nearly all that the spoon holds and full shakes at the end of the pitch release nothing.
     /// A few such shakes suffice where more spoonfuls have to follow anyway.
     pub(super) fn is_empty(&self, limits: &Limits, course: &Course) -> bool {
+        if self.has_stuck(limits, course) {
+            return true;
+        }
         let Some(spoon_mg) = self.settings.spoon_mg else { return false };
         let fallen_mg = course.now.mass_mg - course.from_mg;
         let silent = silent_at_the_end(limits, &course.falls).unwrap_or(0);
@@ -101,6 +108,18 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             true => fallen_mg >= EMPTY * spoon_mg && silent > 0,
             false => fallen_mg >= self.portion_mg(course) - 1.0 || silent >= SPENT_STROKES,
         }
+    }
+
+    /// Whether a powder that comes in pieces no longer does, and another spoonful can be had.
+    fn has_stuck(&self, limits: &Limits, course: &Course) -> bool {
+        let end_deg = limits.pitch.upper_deg - AT_THE_END_DEG;
+        let is_silent =
+            |fall: &&Fall| fall.pitch_deg > end_deg && fall.mass_mg < limits.piece_mg - 1e-9;
+        let silent = course.falls.iter().rev().take_while(is_silent).count();
+        limits.forecast.is_some_and(|forecast| forecast.in_pieces)
+            && silent >= SILENT_PIECES
+            && course.spoonful < self.settings.spoonfuls_max
+            && self.bench.can_refill()
     }
 
     fn is_last(&self, course: &Course) -> bool {

@@ -50,6 +50,27 @@ fn an_arm_that_fills_its_spoon_tries_a_new_spoonful_and_no_more_than_allowed() {
 }
 
 #[test]
+fn a_powder_that_comes_in_pieces_gets_a_new_spoonful_once_it_is_silent() {
+    // A powder of which a steep spoon may be shaken at once.
+    let known = Forecast { level: -6.0, level_sd: 0.3, ..Forecast::GENERIC.in_pieces() };
+    let settings = Settings { forecast: Some(known), ..BLIND };
+    let mut bench = Scripted { refills: true, ..Scripted::giving(&[0.0]) };
+    let (weighed, said) = weigh_hard(&mut bench, &ORDER, &settings);
+    assert_eq!(said.iter().filter(|it| it.contains("filled anew")).count(), 2, "{said:?}");
+    let shakes_of = |spoonful: u32| {
+        let of = weighed.ticks.iter().filter(|tick| tick.spoonful == spoonful);
+        of.filter(|tick| tick.action.executed_shake_mm() > 0.0 && tick.pitch_deg > 49.0).count()
+    };
+    assert_eq!([1, 2].map(shakes_of), [6, 6]);
+    assert!(shakes_of(3) > 6, "the last one is tried like any other");
+    assert!(weighed.outcome != Outcome::Within && bench.count(Call::Approach) == 3);
+    // A bench that cannot fill its spoon goes up the ladder.
+    let mut bench = Scripted::giving(&[0.0]);
+    let (_, said) = weigh_hard(&mut bench, &ORDER, &settings);
+    assert_eq!(said.iter().filter(|it| it.contains("loosen")).count(), 1);
+}
+
+#[test]
 fn a_powder_that_flows_after_a_rung_is_weighed() {
     // Nothing for the first four shakes at the end, then a piece.
     let gives_mg = [vec![0.0; 10], vec![4.0, 0.0, 3.0, 3.0]].concat();
