@@ -99,9 +99,14 @@ async fn the_shakes_of_an_emulated_bench_add_up_to_its_reading() {
     let items = listed(&service, "?bench=emulated").await;
     let shakes = items[0]["spoonful"]["shakes"].as_array().unwrap();
     let sum: f64 = fell_mg(&items[0]).iter().sum();
-    let sd = shakes[0]["sd_mg"].as_f64().unwrap();
-    assert!((sum - reading_mg).abs() <= 4.0 * sd, "{sum} mg in shakes, {reading_mg} mg in all");
-    assert_eq!(shakes.len() + 1, done["ticks"].as_array().unwrap().len());
+    // The result is a mean of later readings of a balance that wanders; between the first and the last
+    // reading of the dose, nothing is lost.
+    let ticks = done["ticks"].as_array().unwrap();
+    let shown_mg = |tick: &Value| tick["reading"]["mass_mg"].as_f64().unwrap();
+    let rose_mg = shown_mg(ticks.last().unwrap()) - shown_mg(&ticks[0]);
+    assert!((sum - rose_mg).abs() < 1e-9, "{sum} mg in shakes, {rose_mg} mg in all");
+    assert!((sum - reading_mg).abs() < 5.0, "{sum} mg in shakes, a result of {reading_mg} mg");
+    assert_eq!(shakes.len() + 1, ticks.len());
     let strokes = shakes.iter().filter(|shake| shake["shake_mm"].as_f64().unwrap() > 0.0);
     assert_eq!(strokes.clone().count() as u64, done["weighing"]["shakes"].as_u64().unwrap());
     assert!(strokes.clone().all(|shake| shake["acceleration_m_s2"].as_f64().unwrap() > 0.1));
