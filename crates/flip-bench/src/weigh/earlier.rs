@@ -159,12 +159,12 @@ impl Forecast {
     /// Logarithm of the probability of these falls, up to a constant, of a spoonful of unknown level.
     fn ln_likelihood(&self, falls: &[Fall], readability_mg: f64) -> f64 {
         let mut level = Level { at: self.level, variance: UNKNOWN };
-        let mut one = |fall: &Fall| {
+        let one = |fall: &Fall| {
             let [surprise, variance] = level.learn(self, fall, readability_mg);
             -2.5 * libm::log1p(surprise.powi(2) / variance / 4.0) - 0.5 * libm::log(variance)
         };
         // The first says where the level is, whatever the slope.
-        falls.iter().filter(|fall| fall.is_known()).map(|fall| one(fall)).skip(1).sum()
+        falls.iter().filter(|fall| fall.is_known()).map(one).skip(1).sum()
     }
 
     /// Initial level of a spoonful, at 0 deg and 1 mm: the filter's estimate from its first shakes
