@@ -14,7 +14,7 @@
 //! table there (0.046 to 0.112 per degree); it leaves a slope that no powder had out of reach.
 
 use super::forecast::{FIRST_PER_LN_MM, Fall, Forecast, Level, PIECE_MG, Shaking};
-use super::hangs;
+use super::settings::{AGITATED_DEG, hangs};
 use flip_core::stats::normal::quantile;
 
 /// SD of the slope between powders, 1/deg,
@@ -27,8 +27,6 @@ const NODES: usize = 9;
 const UNKNOWN: f64 = 16.0;
 /// Shakes that the prior of a piece's probability is worth.
 const WAITED: f64 = 8.0;
-/// Powders of a larger angle of repose must be agitated (USP <1174>): they come in pieces.
-const AGITATED_DEG: f64 = 45.0;
 /// Fewest shakes from which a share of silent ones is said.
 const SHAKES_MIN: usize = 10;
 /// Fewest spoonfuls from which the pitch is said at which a powder begins to flow.
@@ -55,6 +53,7 @@ impl Expected {
     /// Of a powder with this angle of repose, after these spoonfuls of it, each given by its shakes
     /// in order.
     pub fn of(repose_deg: f64, earlier: &[Vec<Fall>], readability_mg: f64) -> Self {
+        // A powder that must be agitated comes in pieces.
         let forecast = match repose_deg > AGITATED_DEG {
             true => Forecast::GENERIC.in_pieces(),
             false => Forecast::GENERIC,

@@ -40,9 +40,9 @@ pub struct Limits {
     /// This many full strokes in a row at the end of the pitch that release nothing mean a blocked
     /// spoon. Default 15: one, two, four and eight (`ladder.rs`).
     pub blocked_strokes: u32,
-    /// Where there is no forecast, of a powder that does not hang: so many shakes like the last one that released something which
-    /// release nothing mean a blocked spoon or a stuck balance. Default 8: the gentlest shakes at
-    /// the end of a dose may take five for one step of the display.
+    /// Where there is no forecast, of a powder that does not hang: so many shakes like the last one
+    /// that released something which release nothing mean a blocked spoon or a stuck balance.
+    /// Default 8: the gentlest shakes at the end of a dose may take five for one step of the display.
     pub deaf_shakes: u32,
     /// Probability that a spoonful of the powder stops flowing while powder is left in it. Default
     /// 0: shakes that should release something do.

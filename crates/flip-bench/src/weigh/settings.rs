@@ -5,6 +5,9 @@ use super::result::Accuracy;
 use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Probe;
 
+/// Powders of a larger angle of repose must be agitated (USP <1174>).
+pub(super) const AGITATED_DEG: f64 = 45.0;
+
 /// Probability that a spoonful of a powder stops flowing while powder is left in it, by its angle
 /// of repose.
 ///
@@ -13,7 +16,7 @@ use flip_core::domain::weighing::Probe;
 /// stuck, which silent shakes are taken for otherwise. `None`: not measured.
 pub fn hangs(repose_deg: Option<f64>) -> f64 {
     match repose_deg {
-        Some(deg) if deg > 45.0 => 0.3,
+        Some(deg) if deg > AGITATED_DEG => 0.3,
         Some(deg) if deg > 40.0 => 0.1,
         _ => 0.0,
     }
