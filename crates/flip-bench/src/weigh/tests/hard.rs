@@ -64,10 +64,14 @@ fn a_powder_that_comes_in_pieces_gets_a_new_spoonful_once_it_is_silent() {
     assert_eq!([1, 2].map(shakes_of), [6, 6]);
     assert!(shakes_of(3) > 6, "the last one is tried like any other");
     assert!(weighed.outcome != Outcome::Within && bench.count(Call::Approach) == 3);
-    // A bench that cannot fill its spoon goes up the ladder.
-    let mut bench = Scripted::giving(&[0.0]);
-    let (_, said) = weigh_hard(&mut bench, &ORDER, &settings);
-    assert_eq!(said.iter().filter(|it| it.contains("loosen")).count(), 1);
+    // A bench that cannot fill its spoon goes on gently while a piece might exceed the room, and up
+    // the ladder where none would.
+    let loosened = |target_mg: f64| {
+        let order = Order { target_mg, ..ORDER };
+        let (_, said) = weigh_hard(&mut Scripted::giving(&[0.0]), &order, &settings);
+        said.iter().filter(|it| it.contains("loosen")).count()
+    };
+    assert_eq!([10.0, 60.0].map(loosened), [0, 1]);
 }
 
 #[test]
