@@ -236,12 +236,11 @@ fn fault<F: std::str::FromStr<Err = FieldError>>(
 fn spoon(common: &Common, formula: bool, hidden: Option<Hidden>) -> Box<dyn Spoon> {
     match formula {
         true => Box::new(FormulaSpoon::new(Flow::default(), common.seed)),
-        false => hidden::spoon(
-            hidden,
-            &ParameterSet::default(),
-            &dispense::Settings::default(),
-            common.seed,
-        ),
+        false => {
+            let shake = arm::Settings::DEFAULT.executed();
+            let shaken = dispense::Settings { shake, ..dispense::Settings::default() };
+            hidden::spoon(hidden, &ParameterSet::default(), &shaken, common.seed)
+        }
     }
 }
 

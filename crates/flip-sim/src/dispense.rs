@@ -76,8 +76,9 @@ impl Settings {
     ///
     /// ```text
     /// s = sum(peak top) / sum(top^2)       top: of the move over the executed amplitude within the present limits
-    /// v <- s v,  a <- s^2 a,  j <- s^3 j   the same move, 1/s times as long
     /// ```
+    ///
+    /// The limits are then those [at this speed](MotionLimits::at_speed).
     ///
     /// Difference: one factor for all amplitudes; an arm with other ratios of its limits is matched
     /// only on average.
@@ -92,12 +93,7 @@ impl Settings {
         });
         // Shakes that were not executed carry no information about speed.
         let s = if both > 0.0 && squares > 0.0 { both / squares } else { 1.0 };
-        let shake = MotionLimits {
-            velocity_m_s: s * limits.velocity_m_s,
-            acceleration_m_s2: s * s * limits.acceleration_m_s2,
-            jerk_m_s3: s * s * s * limits.jerk_m_s3,
-        };
-        Self { shake, ..self }
+        Self { shake: limits.at_speed(s), ..self }
     }
 }
 

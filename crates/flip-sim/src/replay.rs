@@ -5,7 +5,7 @@
 
 use super::dispense::{Dispenser, Settings};
 use super::repose::Refusal;
-use flip_core::domain::motion::MotionLimits;
+use flip_core::domain::motion::{MotionLimits, Move};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::shake::{Shake, Spoonful};
 
@@ -87,21 +87,25 @@ pub fn replay(of: &Replay) -> Result<Replayed, Refusal> {
     let mut fell_mg = Vec::with_capacity(of.steps.len());
     for step in &of.steps {
         spoon.shake_within(limits(step, of.settings.shake));
-        let poured = spoon.carry_out(step.pitch_deg, step.shake_mm, step.strokes);
-        elapsed_s += poured.duration_s;
+        // An arm pitches, and is then told to shake: the powder rests in between.
+        let pitched = spoon.carry_out(step.pitch_deg, 0.0, 0);
+        let shaken = spoon.carry_out(step.pitch_deg, step.shake_mm, step.strokes);
+        elapsed_s += pitched.duration_s + shaken.duration_s;
         if let Some(cause) = spoon.fault() {
             return Err(Refusal::Diverged { at_s: elapsed_s, cause: cause.to_owned() });
         }
-        fell_mg.push(poured.vial_mg);
+        fell_mg.push(pitched.vial_mg + shaken.vial_mg);
     }
     Ok(Replayed { filled_mg, fell_mg, spilled_mg: spoon.spilled_mg() })
 }
 
-/// The limits of a stroke whose largest acceleration was recorded.
+/// The limits of a stroke whose largest acceleration was recorded: the usual move of this length,
+/// so much faster or slower.
 fn limits(step: &Step, usual: MotionLimits) -> MotionLimits {
-    MotionLimits {
-        acceleration_m_s2: step.acceleration_m_s2.unwrap_or(usual.acceleration_m_s2),
-        ..usual
+    let usual_m_s2 = Move::new(step.shake_mm * 1e-3, usual).peak_m_s2();
+    match step.acceleration_m_s2 {
+        Some(most_m_s2) if usual_m_s2 > 0.0 => usual.at_speed((most_m_s2 / usual_m_s2).sqrt()),
+        _ => usual,
     }
 }
 
@@ -129,7 +133,8 @@ mod tests {
         let mut spoon = Dispenser::new(&ParameterSet::default(), &small(), 7);
         let actions = [(12.5, 0.0), (12.5, 4.0), (6.0, 8.0)];
         let by_hand = actions.map(|(incline_change_deg, shake_mm)| {
-            spoon.step(Action::once(incline_change_deg, shake_mm)).vial_mg
+            let pitched = spoon.step(Action::once(incline_change_deg, 0.0)).vial_mg;
+            pitched + spoon.step(Action::once(0.0, shake_mm)).vial_mg
         });
         let replayed = of(steps.clone());
         assert_eq!(replayed.fell_mg, by_hand);
@@ -172,7 +177,7 @@ mod tests {
             assert_eq!(replay.settings.particles, 200);
             super::replay(&replay).unwrap().fell_mg.iter().sum::<f64>()
         };
-        // 0.46 g by the settings: a tenth of it is a gentle stroke.
+        // 8 mm are long enough for 0.46 g, the settings' own; a tenth of it is a gentle stroke.
         assert_eq!(fell(None), fell(Some(small().shake.acceleration_m_s2)));
         assert!(fell(Some(0.45)) < fell(None), "{} {}", fell(Some(0.45)), fell(None));
     }

@@ -10,6 +10,7 @@ use crate::hardware::DeviceError;
 use crate::hardware::clock::Clock;
 use crate::hardware::wire::Exchange;
 use flip_core::domain::bench::BenchKind;
+use flip_sim::dispense;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -42,12 +43,11 @@ impl Rig for Emulated {
     fn pour(&self, pouring: &Pouring, on_event: OnEvent<'_>, stop: &AtomicBool) -> Poured {
         let clock = Clock::standing();
         let simulation = &pouring.simulation;
-        let spoon = hidden::spoon(
-            Hidden::drawn(self.settings.hidden),
-            &simulation.set,
-            &simulation.spoon_for(&pouring.task.rules),
-            simulation.seed,
-        );
+        let usual = simulation.spoon_for(&pouring.task.rules);
+        // The powder is shaken as the arm moves, whatever it was simulated with.
+        let shaken = dispense::Settings { shake: self.settings.arm.executed(), ..usual };
+        let hidden = Hidden::drawn(self.settings.hidden);
+        let spoon = hidden::spoon(hidden, &simulation.set, &shaken, simulation.seed);
         let balance = balance::Settings { seed: simulation.seed, ..self.settings.balance.clone() };
         let settings = lab::Settings { balance, ..self.settings.clone() };
         // A bench with uncalibrated shakes executes less than it is commanded, and the gentlest

@@ -1,7 +1,7 @@
 //! The contract of a rig, held by all three.
 
 use super::*;
-use crate::emulate::arm::{Fault, Flow, FormulaSpoon};
+use crate::emulate::arm::{self, Fault, Flow, FormulaSpoon};
 use crate::emulate::lab::{self, Laboratory};
 use crate::hardware::clock::Clock;
 use crate::weigh::earlier::Expected;
@@ -9,10 +9,12 @@ use crate::weigh::{Accuracy, Order};
 use flip_core::domain::apparatus::Apparatus;
 use flip_core::domain::bench::Tick;
 use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::seed::derive;
 use flip_core::domain::shake::{ShakesOf, Spoonful};
 use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Outcome;
 use flip_policy::{Controller, Rules, ScheduledStep};
+use flip_sim::replay::{Replay, replay};
 use flip_sim::{balance, dispense};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
@@ -109,6 +111,42 @@ fn a_dose_runs_its_course_names_its_devices_and_leaves_its_traffic() {
     }
 }
 
+/// The shakes of a dose, as they are kept.
+fn only_spoonful(poured: &Poured) -> Spoonful {
+    let apparatus = Apparatus {
+        readability_mg: 1.0,
+        repeatability_mg: None,
+        capacity_mg: None,
+        stroke: poured.stroke,
+    };
+    let (weighing, powder) = ("w".to_owned(), "salt".to_owned());
+    let of = ShakesOf { weighing, powder, lot: None, session: None };
+    let mut found = Spoonful::of(&poured.ticks, &apparatus, &of);
+    assert_eq!(found.len(), 1, "{found:?}");
+    found.remove(0)
+}
+
+#[test]
+fn the_powder_on_an_emulated_bench_is_shaken_as_its_arm_says_it_moves() {
+    // An arm that executes what it is told, but for its speed.
+    let arm = arm::Settings { shake_gain: 1.0, shake_loss_mm: 0.0, ..Default::default() };
+    let emulated = Emulated::new(lab::Settings { arm, ..Default::default() });
+    let mut pouring = pouring();
+    pouring.simulation.spoon.semi_axes_mm = [2.8, 2.0, 1.2];
+    let poured =
+        emulated.pour(&pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));
+    let Simulation { set, spoon, seed, .. } = &pouring.simulation;
+    // What is on record of the dose makes the dose again.
+    let again = Replay::of(set, spoon, &only_spoonful(&poured), derive(*seed, &[0]));
+    let fell_mg = |of: &Replay| replay(of).unwrap().fell_mg.iter().sum::<f64>();
+    let (fell, again_mg) = (poured.dispensed_mg.unwrap(), fell_mg(&again));
+    assert!(fell > 1.0 && (again_mg - fell).abs() < 0.02 * fell, "{fell} {again_mg}");
+    // The published arm's gentler strokes would not.
+    let mut gentle = again;
+    gentle.steps.iter_mut().for_each(|step| step.acceleration_m_s2 = Some(1.1));
+    assert!(fell_mg(&gentle) < 0.8 * fell, "{fell} {}", fell_mg(&gentle));
+}
+
 #[test]
 fn the_shakes_of_a_dose_add_up_to_what_the_display_shows_and_are_what_the_arm_makes() {
     for case in cases() {
@@ -116,16 +154,7 @@ fn the_shakes_of_a_dose_add_up_to_what_the_display_shows_and_are_what_the_arm_ma
         let stroke = poured.stroke.unwrap();
         // Calibrated shakes are corrected; those of a simulated spoon need no correction.
         assert_eq!(stroke.response.is_some(), kind == BenchKind::Emulated, "{kind:?}: {stroke:?}");
-        let apparatus = Apparatus {
-            readability_mg: 1.0,
-            repeatability_mg: None,
-            capacity_mg: None,
-            stroke: poured.stroke,
-        };
-        let (weighing, powder) = ("w".to_owned(), "salt".to_owned());
-        let of = ShakesOf { weighing, powder, lot: None, session: None };
-        let found = Spoonful::of(&poured.ticks, &apparatus, &of);
-        let [spoonful] = &found[..] else { panic!("{kind:?}: {found:?}") };
+        let spoonful = only_spoonful(&poured);
         let shown = |tick: Option<&Tick>| tick.unwrap().reading.mass_mg;
         let shown_mg = shown(poured.ticks.last()) - shown(poured.ticks.first());
         assert!((spoonful.fell_mg() - shown_mg).abs() < 1e-9, "{kind:?}");

@@ -24,6 +24,20 @@ impl MotionLimits {
     /// deg; the published robot's arm adds vibration that a rigid spoon does not have.
     pub const BRISK: Self =
         Self { velocity_m_s: 0.25 * 3.0, acceleration_m_s2: 0.5 * 9.0, jerk_m_s3: 0.35 * 4500.0 };
+
+    /// Limits under which every move is the same one, made in 1 / s of its time:
+    ///
+    /// ```text
+    /// v <- s v,  a <- s^2 a,  j <- s^3 j
+    /// ```
+    #[must_use]
+    pub fn at_speed(self, s: f64) -> Self {
+        Self {
+            velocity_m_s: s * self.velocity_m_s,
+            acceleration_m_s2: s * s * self.acceleration_m_s2,
+            jerk_m_s3: s * s * s * self.jerk_m_s3,
+        }
+    }
 }
 
 /// Limits of a rotation.

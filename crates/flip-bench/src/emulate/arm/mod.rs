@@ -69,7 +69,7 @@ pub struct Settings {
     pub scoops: bool,
     /// Limits of pitching.
     pub turn: TurnLimits,
-    /// Limits of the shake. Default the published ones.
+    /// Limits of the shake. Default those of the simulated spoon.
     pub shake: MotionLimits,
     /// Maximum commanded amplitude, mm. Default 16.
     pub shake_mm_max: f64,
@@ -103,7 +103,7 @@ impl Settings {
         pitch: PitchLimits::WIDE,
         scoops: true,
         turn: TurnLimits::DEFAULT,
-        shake: MotionLimits::PAPER,
+        shake: MotionLimits::BRISK,
         shake_mm_max: SHAKE_MM_MAX,
         fall_s: 0.05,
         dead_man_ms: 300,
@@ -117,13 +117,17 @@ impl Settings {
         (self.shake_gain * commanded_mm - self.shake_loss_mm).max(0.0)
     }
 
+    /// Limits of a shake as this arm makes it; the powder feels these.
+    pub fn executed(&self) -> MotionLimits {
+        self.shake.at_speed(self.speed)
+    }
+
     /// Shake calibration of this arm: its gain and loss.
     pub fn shakes(&self) -> Option<ShakeCalibration> {
         let shake = |commanded_mm: f64| {
             let planned_mm_s = 1e3 * Move::new(1e-3 * commanded_mm, self.shake).top_m_s();
-            let peak_mm_s = 1e3
-                * self.speed
-                * Move::new(1e-3 * self.executed_mm(commanded_mm), self.shake).top_m_s();
+            let peak_mm_s =
+                1e3 * Move::new(1e-3 * self.executed_mm(commanded_mm), self.executed()).top_m_s();
             ExecutedShake {
                 commanded_mm,
                 executed_mm: self.executed_mm(commanded_mm),

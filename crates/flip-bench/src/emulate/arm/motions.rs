@@ -144,18 +144,18 @@ impl Hand<'_> {
         if executed_mm == 0.0 {
             return Ok(());
         }
-        let stroke = Stroke::new(executed_mm * 1e-3, settings.shake);
+        let stroke = Stroke::new(executed_mm * 1e-3, settings.executed());
         let (pitch_deg, _) = self.desk.pose();
         let mass_mg = self.let_fall(Action::once(0.0, executed_mm));
         let mut furthest_mm = 0.0f64;
-        let ended = self.play(stroke.duration_s() / settings.speed, mass_mg, done, |t| {
-            let displacement_mm = stroke.at(t * settings.speed).position * 1e3;
+        let ended = self.play(stroke.duration_s(), mass_mg, done, |t| {
+            let displacement_mm = stroke.at(t).position * 1e3;
             furthest_mm = furthest_mm.max(displacement_mm);
             (pitch_deg, displacement_mm)
         });
         // A completed stroke turned round between two checks.
         done.amplitude_mm = if ended.is_ok() { executed_mm } else { furthest_mm };
-        done.peak_speed_m_s = stroke.top_m_s() * settings.speed;
+        done.peak_speed_m_s = stroke.top_m_s();
         if ended.is_ok() {
             self.desk.rest(pitch_deg, 0.0);
         }
