@@ -9,7 +9,7 @@ use super::{App, Error, Result};
 use crate::jobs::bench::WAITING_MAX;
 use flip_core::domain::bench::{BenchKind, Tick};
 use flip_core::domain::conditions::{Conditions, Under};
-use flip_core::domain::seed::derive;
+use flip_core::domain::seed::{derive, index_of};
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, OnOverdose, WeighRequest};
 use flip_core::domain::{FieldError, bounded};
@@ -193,7 +193,7 @@ impl App {
             // 53 bits, which every JSON reader preserves exactly.
             None => SysRng.try_next_u64().map_err(|error| Error::Internal(error.into()))? >> 11,
         };
-        let set = choose_set(sets, &policy, seed);
+        let set = choose_set(sets, &policy, request.asked.lot.as_deref(), seed);
         let (tolerance_lower_mg, tolerance_upper_mg) = tolerance;
         let policy = policy.id;
         let (asked, vial_check) = (request.asked, request.vial_check);
@@ -450,15 +450,17 @@ fn shown(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).take(20).collect()
 }
 
-/// One of the powder's sets, by seed: among those that the policy has not met, if there are any.
-fn choose_set(sets: Vec<CalibratedSet>, policy: &Policy, seed: u64) -> String {
+/// One of the powder's sets: among those that the policy has not met, if there are any. All doses of
+/// a lot have the same, as one powder has; a dose without a lot draws its own by its seed.
+fn choose_set(sets: Vec<CalibratedSet>, policy: &Policy, lot: Option<&str>, seed: u64) -> String {
     let mut sets = unmet(sets, policy);
     // By content rather than by age, so that the choice is the same in every data folder that has
     // the same sets.
     sets.sort_by(|a, b| a.id.cmp(&b.id));
-    let index = derive(seed, &[SET_CHOICE]) % sets.len() as u64;
+    let index = derive(lot.map_or(seed, index_of), &[SET_CHOICE]) % sets.len() as u64;
     sets.swap_remove(index as usize).id
 }
+
 /// Most spoonfuls that a target may take.
 const SPOONFULS_MAX: f64 = 40.0;
 /// Largest target in several spoonfuls, mg.

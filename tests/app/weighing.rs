@@ -11,6 +11,7 @@ use flip_core::domain::bench::BenchKind;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use futures::StreamExt;
 use futures::future::join_all;
+use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 
@@ -297,6 +298,32 @@ async fn a_bench_that_remembers_expects_of_a_powder_what_it_did_before() {
     assert_ne!(known, Forecast::GENERIC);
     assert_eq!(forecasts(true).await, [Forecast::GENERIC, Forecast::GENERIC, known, known]);
     assert_eq!(forecasts(false).await, [Forecast::GENERIC; 4]);
+}
+
+/// Number of different sets with which these doses, each a lot and a seed, were simulated.
+async fn sets_of(app: &App, doses: &[(Option<&str>, u64)]) -> usize {
+    let mut sets = HashSet::new();
+    for (k, (lot, seed)) in doses.iter().enumerate() {
+        let mut request = WeighingRequest { seed: Some(*seed), ..mg("sand", 15.0) };
+        request.asked.lot = lot.map(str::to_owned);
+        let key = format!("{}-{seed}-{k}", lot.unwrap_or("none"));
+        let weighing = app.start_weighing(request, &key).await.unwrap().0;
+        sets.insert(done(app, &weighing.id).await.parameter_set);
+    }
+    sets.len()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_simulated_lot_is_one_powder_in_all_its_doses() {
+    let (_folder, app) = open(functions()).await;
+    calibrated(&app, "sand").await;
+    let lots = ["a", "b", "c", "d", "e", "f"];
+    let one_lot: Vec<_> = (1..7).map(|seed| (Some("a"), seed)).collect();
+    let each_its_own: Vec<_> = lots.map(|lot| (Some(lot), 1)).into();
+    let no_lot: Vec<_> = (1..7).map(|seed| (None, seed)).collect();
+    assert_eq!(sets_of(&app, &one_lot).await, 1);
+    assert!(sets_of(&app, &each_its_own).await > 1 && sets_of(&app, &no_lot).await > 1);
+    app.shutdown().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
