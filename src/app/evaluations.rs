@@ -12,7 +12,7 @@ use flip_core::domain::job::JobKind;
 use flip_core::domain::powder::PUBLISHED;
 use flip_core::domain::spoon::Spoon;
 use flip_core::domain::{FieldError, bounded};
-use flip_policy::shipped;
+use flip_policy::{all_shipped, shipped};
 use flip_store::jobs::{Job, JobRow};
 use flip_store::page::{Page, PageQuery};
 use flip_store::parameter_sets::CalibratedSet;
@@ -157,21 +157,27 @@ impl App {
         Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Evaluation(spec)).await?)
     }
 
-    /// The named policy, or the newest; if no policy takes part in the weighing, the shipped one,
-    /// so that no other can change the result.
+    /// The named policy, or the newest that does not ship; if no policy takes part in the weighing,
+    /// the default, so that no other can change the result.
     async fn policy_to_evaluate(&self, named: Option<&str>, weighs: bool) -> Result<Policy> {
-        let named = named.or_else(|| (!weighs).then_some(shipped().id.as_str()));
-        if let Some(id) = named {
-            return self.store().policy(id).await?.ok_or_else(|| {
-                FieldError::new(
-                    "policy",
-                    format!("there is no policy `{id}`: GET /v1/policies lists them"),
-                )
-                .into()
-            });
-        }
-        let newest = self.store().policies(PageQuery::first(1).window(1)?).await?.items;
-        newest.into_iter().next().ok_or_else(|| Error::not_found("policy", "shipped"))
+        let id = match named {
+            Some(id) => id.to_owned(),
+            None if weighs => self.newest_policy().await?,
+            None => shipped().id.clone(),
+        };
+        self.store().policy(&id).await?.ok_or_else(|| {
+            let advice = format!("there is no policy `{id}`: GET /v1/policies lists them");
+            FieldError::new("policy", advice).into()
+        })
+    }
+
+    /// The newest policy that does not ship, or the default until there is one.
+    async fn newest_policy(&self) -> Result<String> {
+        let most = all_shipped().len() as u32 + 1;
+        let newest = self.store().policies(PageQuery::first(most).window(most)?).await?.items;
+        let mut own = newest.into_iter().map(|it| it.id);
+        let own = own.find(|id| all_shipped().iter().all(|shipped| shipped.id != *id));
+        Ok(own.unwrap_or_else(|| shipped().id.clone()))
     }
 
     /// The sets that represent a powder: those of its newest calibration, without those that a

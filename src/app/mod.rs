@@ -130,7 +130,7 @@ pub use vials::{ReservationRequest, VialReadyRequest};
 pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
 
 use crate::jobs::Jobs;
-use flip_policy as policy;
+use flip_policy::{Shipped, all_shipped};
 use flip_store::{self as store, Store};
 use keyring::Keyring;
 use readiness::LastLook;
@@ -189,7 +189,7 @@ impl App {
     pub async fn open(data_dir: &Path, options: Options) -> std::result::Result<Self, OpenError> {
         let failed = |error| OpenError::of(data_dir, error);
         let store = Store::open(data_dir).await.map_err(failed)?;
-        store_shipped_policy(&store).await.map_err(failed)?;
+        store_shipped_policies(&store).await.map_err(failed)?;
         let jobs =
             Jobs::start(store.clone(), options.functions, options.workers).await.map_err(failed)?;
         Self::of(store, Some(jobs)).await.map_err(failed)
@@ -269,19 +269,13 @@ impl App {
 }
 
 /// A weighing needs a policy before any has been trained.
-async fn store_shipped_policy(store: &Store) -> store::Result<()> {
-    let shipped = policy::shipped();
-    let manifest = serde_json::to_string(&shipped.policy.manifest);
-    let manifest = manifest.map_err(|error| store::Error::Corrupt(error.to_string()))?;
+async fn store_shipped_policies(store: &Store) -> store::Result<()> {
     let mut tx = store.write().await?;
-    tx.insert_policy(
-        &shipped.id,
-        shipped.policy.manifest.kind.name(),
-        None,
-        &manifest,
-        &shipped.bytes,
-    )
-    .await?;
+    for Shipped { id, policy, bytes } in all_shipped() {
+        let manifest = serde_json::to_string(&policy.manifest);
+        let manifest = manifest.map_err(|error| store::Error::Corrupt(error.to_string()))?;
+        tx.insert_policy(id, policy.manifest.kind.name(), None, &manifest, bytes).await?;
+    }
     tx.commit().await
 }
 

@@ -170,16 +170,13 @@ fn about<'a>(
         let same_rules = on_it(rules) == on_it(&of.manifest.rules);
         spec.conditions.are_usual() && usual_balance && same_rules
     };
-    let shipped = flip_policy::shipped();
+    let is_rival = |kind: &Kind| kind.name() == controller && spec.rivals.contains(kind);
     match controller {
         POLICY => usual(policy).then_some(spec.policy.as_str()),
-        name => {
-            let is_shipped = spec
-                .rivals
-                .iter()
-                .any(|kind| kind.name() == name && *kind == shipped.policy.manifest.kind);
-            (is_shipped && usual(&shipped.policy)).then_some(shipped.id.as_str())
-        }
+        _ => flip_policy::all_shipped()
+            .into_iter()
+            .find(|it| is_rival(&it.policy.manifest.kind) && usual(&it.policy))
+            .map(|it| it.id.as_str()),
     }
 }
 

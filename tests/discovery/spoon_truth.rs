@@ -180,8 +180,13 @@ impl Bench {
             let mut spoon = hidden::spoon(truth.hidden, &truth.set, &self.spoon(), seed);
             spoon.refill();
             let step = |shake: &Shake| {
+                // As an arm does it: the powder rests in between.
                 let turn = shake.pitch_deg - spoon.pitch_deg();
-                spoon.step(Action::once(turn, shake.shake_mm)).mass_mg
+                let mut fell_mg = spoon.step(Action::once(turn, 0.0)).mass_mg;
+                if shake.shake_mm > 0.0 {
+                    fell_mg += spoon.step(Action::once(0.0, shake.shake_mm)).mass_mg;
+                }
+                fell_mg
             };
             spoonful.shakes.iter().map(step).collect()
         };

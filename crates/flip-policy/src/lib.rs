@@ -29,4 +29,4 @@ pub use observation::{Encoding, Known, Observation};
 pub use paced::Paced;
 pub use pid::{Gains, Pid};
 pub use response::{Response, Spoonful};
-pub use shipped::{Shipped, shipped};
+pub use shipped::{Shipped, all_shipped, shipped};
