@@ -22,12 +22,6 @@ use std::collections::BTreeMap;
 
 /// Fewest spoonfuls of a card.
 pub const CARD_SPOONFULS_MIN: usize = 2;
-/// Least mass that counts as flowing, mg.
-const PIECE_MG: f64 = 0.5;
-/// The same in standard uncertainties of the balance.
-const PIECE_SD: f64 = 3.0;
-/// Onset of a spoonful that never flowed, beyond its last pitch, deg.
-const BEYOND_DEG: f64 = 5.0;
 /// Mass that a stroke can hardly be told from nothing by, mg.
 const STEP_MG: f64 = 0.3;
 /// Width of a cell, deg: the step of a probing run.
@@ -71,32 +65,17 @@ pub fn card_of(spoonfuls: &[Spoonful]) -> PowderCard {
     }
     let longest_mm = all().map(|shake| shake.shake_mm).fold(0.0, f64::max);
     let strokes: Vec<Vec<Stroke>> = spoonfuls.iter().map(|it| strokes(it, longest_mm)).collect();
-    let onsets: Vec<f64> = spoonfuls.iter().map(onset_or_beyond_deg).collect();
+    let onsets: Vec<f64> = spoonfuls.iter().map(|it| it.onset_deg(&it.fallen())).collect();
     let flat: Vec<Stroke> = strokes.iter().flatten().copied().collect();
     PowderCard {
         onset_deg: estimate(&onsets, mean),
-        never_flowed: spoonfuls.iter().filter(|it| onset(it).is_none()).count(),
+        never_flowed: spoonfuls.iter().filter(|it| it.onset(&it.fallen()).is_none()).count(),
         slope_per_deg: estimate(&strokes, |strokes| slope(&strokes.concat())),
         scatter: scatter(&flat),
         left: left(spoonfuls, longest_mm),
         curves: curves(&flat),
         ..counted
     }
-}
-
-/// First step after which a piece of powder had fallen.
-fn onset(of: &Spoonful) -> Option<usize> {
-    let mut fallen_mg = 0.0;
-    of.shakes.iter().position(|shake| {
-        fallen_mg += shake.fell_mg;
-        fallen_mg >= (PIECE_SD * shake.sd_mg).max(PIECE_MG)
-    })
-}
-
-/// Pitch at which powder began to fall, deg; beyond the last pitch if it never did.
-fn onset_or_beyond_deg(of: &Spoonful) -> f64 {
-    let steepest = of.shakes.iter().map(|shake| shake.pitch_deg).fold(f64::MIN, f64::max);
-    onset(of).map_or(steepest + BEYOND_DEG, |k| of.shakes[k].pitch_deg)
 }
 
 fn class(shake_mm: f64, longest_mm: f64) -> Option<StrokeClass> {
@@ -110,7 +89,7 @@ fn class(shake_mm: f64, longest_mm: f64) -> Option<StrokeClass> {
 
 /// The strokes of a spoonful until it is spent.
 fn strokes(of: &Spoonful, longest_mm: f64) -> Vec<Stroke> {
-    let onset = onset(of).unwrap_or(usize::MAX);
+    let onset = of.onset(&of.fallen()).unwrap_or(usize::MAX);
     let filled_mg = of.shakes.first().and_then(|shake| shake.spoon_mg);
     let is_below = |shake: &Shake, share: f64| {
         shake.spoon_mg.zip(filled_mg).is_some_and(|(left_mg, mg)| left_mg < share * mg)

@@ -57,6 +57,13 @@ pub struct ShakesOf {
     pub session: Option<String>,
 }
 
+/// Least mass that counts as flowing, mg.
+const PIECE_MG: f64 = 0.5;
+/// The same in standard uncertainties of the balance.
+const PIECE_SD: f64 = 3.0;
+/// Onset of a spoonful that never flowed, beyond its steepest pitch, deg.
+const BEYOND_DEG: f64 = 5.0;
+
 /// The steps of one filling of the spoon, in order, and what it was filled with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -128,6 +135,27 @@ impl Spoonful {
     /// Mass that fell over all steps, mg.
     pub fn fell_mg(&self) -> f64 {
         self.shakes.iter().map(|shake| shake.fell_mg).sum()
+    }
+
+    /// What fell in each step, mg.
+    pub fn fallen(&self) -> Vec<f64> {
+        self.shakes.iter().map(|shake| shake.fell_mg).collect()
+    }
+
+    /// First step after which a piece of powder had fallen, if these masses, mg, fell in its steps: 0.5
+    /// mg in all, or three standard uncertainties of the balance if they are more.
+    pub fn onset(&self, fell_mg: &[f64]) -> Option<usize> {
+        let mut fallen_mg = 0.0;
+        self.shakes.iter().zip(fell_mg).position(|(shake, mg)| {
+            fallen_mg += mg;
+            fallen_mg >= (PIECE_SD * shake.sd_mg).max(PIECE_MG)
+        })
+    }
+
+    /// Pitch of that step, deg; 5 deg beyond the steepest if nothing fell.
+    pub fn onset_deg(&self, fell_mg: &[f64]) -> f64 {
+        let steepest = self.shakes.iter().map(|shake| shake.pitch_deg).fold(f64::MIN, f64::max);
+        self.onset(fell_mg).map_or(steepest + BEYOND_DEG, |k| self.shakes[k].pitch_deg)
     }
 }
 

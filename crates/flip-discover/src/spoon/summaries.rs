@@ -15,12 +15,6 @@ use flip_core::domain::shake::{Shake, Spoonful};
 use flip_core::stats::summary::{mean, sd_within_cells};
 use serde::{Deserialize, Serialize};
 
-/// Least mass that counts as flowing, mg.
-const PIECE_MG: f64 = 0.5;
-/// The same in standard uncertainties of the balance.
-const PIECE_SD: f64 = 3.0;
-/// Onset of a spoonful that never flowed, beyond its last pitch, deg.
-const BEYOND_DEG: f64 = 5.0;
 /// Mass that a step can hardly be told from nothing by, mg.
 const STEP_MG: f64 = 0.3;
 /// The same for a spoonful, mg.
@@ -98,7 +92,7 @@ impl<'a> Frame<'a> {
     /// The summaries of what fell, `[spoonful][step]`, mg.
     pub fn summed(&self, fell: &[&[f64]]) -> Vec<f64> {
         let pairs = || self.spoonfuls.iter().zip(fell);
-        let onsets: Vec<f64> = pairs().map(|(of, fell)| onset_deg(of, fell)).collect();
+        let onsets: Vec<f64> = pairs().map(|(of, fell)| of.onset_deg(fell)).collect();
         let totals: Vec<f64> = fell.iter().map(|fell| total(fell)).collect();
         let logs = totals.iter().map(|mg| (mg.max(0.0) + SPOONFUL_MG).ln()).collect::<Vec<_>>();
         let mut all = vec![mean(&onsets).unwrap_or(0.0), mean(&logs).unwrap_or(0.0)];
@@ -119,7 +113,7 @@ impl<'a> Frame<'a> {
     /// SD of the logarithm of steps from the onset on, within spoonfuls.
     pub fn scatter(&self, fell: &[&[f64]]) -> f64 {
         let flowing = |(of, fell): (&&Spoonful, &&[f64])| {
-            let from = onset(of, fell).unwrap_or(fell.len());
+            let from = of.onset(fell).unwrap_or(fell.len());
             fell[from..].iter().map(|mg| ln_step(*mg)).collect::<Vec<f64>>()
         };
         let cells: Vec<Vec<f64>> = self.spoonfuls.iter().zip(fell).map(flowing).collect();
@@ -133,21 +127,6 @@ fn ln_step(mg: f64) -> f64 {
 
 pub(super) fn total(fell: &[f64]) -> f64 {
     fell.iter().sum()
-}
-
-/// First step after which a piece of powder had fallen.
-fn onset(of: &Spoonful, fell: &[f64]) -> Option<usize> {
-    let mut mass = 0.0;
-    of.shakes.iter().zip(fell).position(|(shake, fell)| {
-        mass += fell;
-        mass >= (PIECE_SD * shake.sd_mg).max(PIECE_MG)
-    })
-}
-
-/// Pitch at which powder began to fall, deg.
-pub(super) fn onset_deg(of: &Spoonful, fell: &[f64]) -> f64 {
-    let steepest = of.shakes.iter().map(|shake| shake.pitch_deg).fold(f64::MIN, f64::max);
-    onset(of, fell).map_or(steepest + BEYOND_DEG, |k| of.shakes[k].pitch_deg)
 }
 
 fn is_same(one: &Cell, other: &Cell) -> bool {
@@ -201,9 +180,9 @@ mod tests {
     fn flow_begins_beyond_the_noise_of_the_balance_or_beyond_the_last_pitch() {
         let tipped = spoonful(&[(10.0, 4.0), (20.0, 4.0), (30.0, 4.0), (40.0, 4.0)]);
         // Three SD are 1.2 mg: what a display of 1 mg shows by chance is no powder.
-        assert_eq!(onset_deg(&tipped, &[1.0, -1.0, 1.5, 4.0]), 30.0);
-        assert_eq!(onset_deg(&tipped, &[0.7, 0.7, 0.0, 0.0]), 20.0);
-        assert_eq!(onset_deg(&tipped, &[0.0, 0.5, 0.0, 0.0]), 45.0);
+        assert_eq!(tipped.onset_deg(&[1.0, -1.0, 1.5, 4.0]), 30.0);
+        assert_eq!(tipped.onset_deg(&[0.7, 0.7, 0.0, 0.0]), 20.0);
+        assert_eq!(tipped.onset_deg(&[0.0, 0.5, 0.0, 0.0]), 45.0);
     }
 
     #[test]

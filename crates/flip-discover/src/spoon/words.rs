@@ -2,7 +2,7 @@
 
 use super::field::{Fell, Field};
 use super::screen::Screened;
-use super::summaries::{Frame, onset_deg, total};
+use super::summaries::{Frame, total};
 use super::{Plan, Settings};
 use crate::report::spoon::{CourseReport, PowderReport, StepReport, SummaryRow};
 use crate::report::{Verdict, names};
@@ -56,7 +56,7 @@ fn summaries(field: &Field<'_>) -> Vec<SummaryRow> {
 /// Numbers of whole spoonfuls.
 fn whole<'a>(frame: &'a Frame<'a>) -> Vec<Summary<'a>> {
     let onset = |fell: &Fell| {
-        let each = frame.spoonfuls.iter().zip(fell).map(|(of, fell)| onset_deg(of, fell));
+        let each = frame.spoonfuls.iter().zip(fell).map(|(of, fell)| of.onset_deg(fell));
         mean(&each.collect::<Vec<_>>()).unwrap_or(0.0)
     };
     let mass =
