@@ -45,6 +45,7 @@ mod tokens;
 mod trace_csv;
 mod trainings;
 mod vials;
+mod weighing_search;
 mod weighings;
 
 pub use crate::jobs::bench::Unwritten;
@@ -111,6 +112,7 @@ pub use flip_store::spoonfuls::{Forgotten, ShakesWanted};
 pub use flip_store::tokens::{Role, TokenEntry};
 pub use flip_store::trials::{Episode, Trial, TrialPhase};
 pub use flip_store::verify::ChangedRow;
+pub use flip_store::weighing_search::{WeighingSort, WeighingsFound, WeighingsWanted};
 pub use flip_store::weighings::{Waiting, Weighing};
 pub use flip_store::who::{Who, acting};
 pub use inference::{Driver, Driving, Proposal};
@@ -127,6 +129,7 @@ pub use simulators::PredictionRequest;
 pub use tokens::NewToken;
 pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use vials::{ReservationRequest, VialReadyRequest};
+pub use weighing_search::WeighingsAsked;
 pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
 
 use crate::jobs::Jobs;

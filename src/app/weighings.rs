@@ -15,7 +15,7 @@ use flip_core::domain::weighing::{Asked, OnOverdose, WeighRequest};
 use flip_core::domain::{FieldError, bounded};
 use flip_policy::shipped;
 use flip_store::bench::Latch;
-use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
+use flip_store::page::{LIST_LIMIT_MAX, PageQuery};
 use flip_store::parameter_sets::CalibratedSet;
 use flip_store::policies::Policy;
 use flip_store::weighings::{Intent, Weighing, WeighingRow};
@@ -290,11 +290,6 @@ impl App {
     pub async fn trace(&self, id: &str) -> Result<Vec<Tick>> {
         let WeighingDetail { ticks, trace_lost, .. } = self.weighing(id).await?;
         trace_lost.map_or(Ok(ticks), |why| Err(Error::Lost(why)))
-    }
-
-    /// Weighings, newest first.
-    pub async fn weighings(&self, page: PageQuery) -> Result<Page<Weighing>> {
-        Ok(self.store().weighings(page.window(LIST_LIMIT_MAX)?).await?)
     }
 
     /// Stops a weighing: at once if it is waiting; if it is running, the arm is notified at once,

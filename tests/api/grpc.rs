@@ -185,13 +185,13 @@ async fn refusals_carry_the_problem_that_rest_would_send() {
 async fn writing_needs_a_token_and_reading_does_not() {
     let service = Service::ready().await;
     let mut weighings = WeighingsClient::new(channel(&service).await);
-    weighings.list_weighings(proto::ListWeighingsRequest { page: None }).await.unwrap();
+    weighings.list_weighings(proto::ListWeighingsRequest::default()).await.unwrap();
     let status = weighings.start_weighing(salt(15.0, "nobody")).await.unwrap_err();
     assert_eq!(
         (status.code(), problem_of(&status)["status"].as_u64()),
         (Code::Unauthenticated, Some(401))
     );
-    let mut forged = Request::new(proto::ListWeighingsRequest { page: None });
+    let mut forged = Request::new(proto::ListWeighingsRequest::default());
     forged.metadata_mut().insert("authorization", "Bearer flip_none".parse().unwrap());
     assert_eq!(weighings.list_weighings(forged).await.unwrap_err().code(), Code::Unauthenticated);
 }

@@ -16,6 +16,7 @@ mod protocol;
 mod record;
 mod refusals;
 mod repose;
+mod search;
 mod shakes;
 mod simulators;
 mod stop;

@@ -6,7 +6,7 @@ use flip::app::Role;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
-async fn weighed(service: &Service, key: &str) -> String {
+pub async fn weighed(service: &Service, key: &str) -> String {
     let request = json!({
         "powder": "salt",
         "target": { "value": 15, "unit": "mg" },

@@ -152,7 +152,10 @@ async fn a_hundred_parallel_requests_with_one_key_make_one_weighing_and_one_pour
     assert!(answers.iter().all(|(weighing, _)| weighing.id == answers[0].0.id));
     gate.open();
     done(&app, &answers[0].0.id).await;
-    assert_eq!(app.weighings(PageQuery::default()).await.unwrap().items.len(), 1);
+    assert_eq!(
+        app.weighings(Default::default(), PageQuery::default()).await.unwrap().page.items.len(),
+        1
+    );
     let other = app.start_weighing(mg("sand", 13.0), "one-key").await;
     assert!(
         matches!(other, Err(Error::Unprocessable { weighing, .. }) if weighing == answers[0].0.id)
@@ -187,7 +190,7 @@ async fn weighings_wait_in_order_and_the_sixty_sixth_is_told_to_come_back() {
     );
     gate.open();
     done(&app, waiting.last().unwrap()).await;
-    let all = app.weighings(PageQuery::first(200)).await.unwrap().items;
+    let all = app.weighings(Default::default(), PageQuery::first(200)).await.unwrap().page.items;
     let mut by_start: Vec<&Weighing> = all.iter().collect();
     by_start.sort_by_key(|weighing| (weighing.started_at, weighing.id.clone()));
     let order: Vec<&str> = by_start.iter().map(|weighing| weighing.id.as_str()).collect();
@@ -378,6 +381,13 @@ async fn requests_that_cannot_be_met_are_refused_and_store_nothing() {
     assert_eq!(refused(with(narrow), "k").await, "tolerance.upper", "the display steps by 1 mg");
     let unknown = WeighingRequest { policy: Some("p-0".into()), ..mg("sand", 15.0) };
     assert_eq!(refused(unknown, "k").await, "policy");
-    assert!(app.weighings(PageQuery::default()).await.unwrap().items.is_empty());
+    assert!(
+        app.weighings(Default::default(), PageQuery::default())
+            .await
+            .unwrap()
+            .page
+            .items
+            .is_empty()
+    );
     app.shutdown().await.unwrap();
 }

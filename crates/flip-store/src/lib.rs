@@ -39,6 +39,7 @@ pub mod tokens;
 mod trail;
 pub mod trials;
 pub mod verify;
+pub mod weighing_search;
 pub mod weighings;
 pub mod who;
 

@@ -1,7 +1,6 @@
 //! Weighings: the intent is committed before any motion, the outcome after it; nothing is ever
 //! poured twice.
 
-use super::page::{Page, Window};
 use super::row::{Columns, json, word};
 use super::{Result, Store, Tx};
 use crate::audit::{About, OutcomeRecord};
@@ -204,16 +203,6 @@ pub fn weighing_topic(id: &str) -> String {
 }
 
 impl Store {
-    /// Weighings, newest first.
-    pub async fn weighings(&self, window: Window) -> Result<Page<Weighing>> {
-        let rows = sqlx::query("SELECT * FROM weighing WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2")
-            .bind(window.before())
-            .bind(window.rows())
-            .fetch_all(&self.reader)
-            .await?;
-        window.page_of(&rows, weighing)
-    }
-
     /// One weighing.
     pub async fn weighing(&self, id: &str) -> Result<Option<WeighingRow>> {
         let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1")
@@ -447,7 +436,7 @@ pub(super) fn weighing_row(row: &SqliteRow) -> Result<WeighingRow> {
     })
 }
 
-fn weighing(row: &SqliteRow) -> Result<Weighing> {
+pub(super) fn weighing(row: &SqliteRow) -> Result<Weighing> {
     let shakes: Option<i64> = row.plain("shakes")?;
     Ok(Weighing {
         id: row.plain("id")?,

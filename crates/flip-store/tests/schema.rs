@@ -134,7 +134,10 @@ async fn readable(store: &Store) -> Vec<(&'static str, usize)> {
         ("parameter_set", store.parameter_sets(None, all()).await.unwrap().items.len()),
         ("policy", store.policies(all()).await.unwrap().items.len()),
         ("dose", store.doses::<Value>("e-1").await.unwrap().len()),
-        ("weighing", store.weighings(all()).await.unwrap().items.len()),
+        (
+            "weighing",
+            store.weighings_wanted(&Default::default(), all()).await.unwrap().page.items.len(),
+        ),
         ("token", store.tokens(all()).await.unwrap().items.len()),
         ("emulator_run", store.emulator_runs("em-0123456789abcdef").await.unwrap().len()),
         ("observation", observations.len()),

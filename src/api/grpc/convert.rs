@@ -44,6 +44,7 @@ same_names! {
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
     Outcome = Outcome { Within Under Over NotStable Blocked Stopped Aborted Unknown Probed }
     WeighingState = WeighingState { Planned AwaitingVial Armed Dosing Settling Done Aborted Unknown }
+    app::WeighingSort = WeighingSort { Newest Oldest Error Target Seconds }
     app::VialCheck = VialCheck { Confirm Skip }
     app::CalibrationMethod = CalibrationMethod { Emulator Paper Sequential }
     app::DateOrder = DateOrder { DayFirst MonthFirst YearFirst }

@@ -1,12 +1,13 @@
 //! `flip.v1.Weighings`.
 
-use super::convert::{all, conditions, missing, page};
+use super::convert::{all, conditions, missing, named, page};
 use super::proto::*;
+use super::shakes::bench_kind;
 use super::{EventStream, Service, after, read, watch, write};
 use crate::api::problem::Problem;
 use crate::app;
 use crate::app::Topic;
-use crate::app::WeighingRequest;
+use crate::app::{WeighingRequest, WeighingsAsked, WeighingsWanted};
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -46,8 +47,25 @@ impl weighings_server::Weighings for Service {
         &self,
         request: Request<ListWeighingsRequest>,
     ) -> Result<Response<ListWeighingsResponse>, Status> {
-        let found = self.app.weighings(page(read(request)?.page)).await?;
-        Ok(Response::new(ListWeighingsResponse { items: all(found.items), next: found.next }))
+        let asked = read(request)?;
+        let bench = asked.bench.as_deref().map(|name| bench_kind("bench", name));
+        let wanted = WeighingsWanted {
+            powder: asked.powder,
+            lot: asked.lot,
+            vial: asked.vial,
+            operator: asked.operator,
+            policy: asked.policy,
+            bench: bench.transpose()?,
+            state: named::<WeighingState, _>("state", asked.state)?,
+            outcome: named::<Outcome, _>("outcome", asked.outcome)?,
+            text: asked.q,
+            sort: named::<WeighingSort, _>("sort", asked.sort)?.unwrap_or_default(),
+            ..WeighingsWanted::default()
+        };
+        let wanted = WeighingsAsked { wanted, since: asked.since, until: asked.until };
+        let window = page(asked.page);
+        let app::WeighingsFound { page, total } = self.app.weighings(wanted, window).await?;
+        Ok(Response::new(ListWeighingsResponse { items: all(page.items), next: page.next, total }))
     }
 
     async fn get_weighing(

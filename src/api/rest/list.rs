@@ -45,12 +45,17 @@ impl From<SeriesParams> for PageQuery {
 
 /// A page, with `Link: <…>; rel="next"` when another follows.
 pub fn respond<T: Answer<Wire: Serialize>>(uri: &Uri, page: Page<T>) -> Response {
+    (to_next(uri, page.next.as_deref()), answer(page)).into_response()
+}
+
+/// The link to the page with this cursor.
+pub fn to_next(uri: &Uri, next: Option<&str>) -> HeaderMap {
     let mut headers = HeaderMap::new();
-    let link = page.next.as_deref().map(|next| link(uri, next));
+    let link = next.map(|next| link(uri, next));
     if let Some(link) = link.and_then(|link| HeaderValue::from_str(&link).ok()) {
         headers.insert(header::LINK, link);
     }
-    (headers, answer(page)).into_response()
+    headers
 }
 
 fn link(uri: &Uri, next: &str) -> String {

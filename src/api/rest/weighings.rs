@@ -3,28 +3,92 @@
 use super::accepted;
 use super::answer;
 use super::extract::{Input, Path, Query};
-use super::list::{ListParams, respond};
+use super::list::to_next;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{Page, Tick, VialReadyRequest, Weighing, WeighingDetail, WeighingRequest};
-use crate::app::{App, document};
+use crate::api::wire::{
+    self, Request, Tick, VialReadyRequest, Weighing, WeighingDetail, WeighingRequest,
+    WeighingsFound,
+};
+use crate::app::{App, PageQuery, WeighingsAsked, WeighingsWanted, document};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{Html, IntoResponse, Response};
 use flip_core::domain::bench;
+use serde::Deserialize;
 use std::fmt::Write;
 
-/// List weighings, newest first.
-#[utoipa::path(get, path = "/v1/weighings", tag = "weighings", params(ListParams),
-    responses((status = 200, description = "A page of weighings", body = Page<Weighing>)))]
+/// Which page of which weighings.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct WeighingsParams {
+    /// Items on the page, 1 to 200.
+    #[param(minimum = 1, maximum = 200, default = 50)]
+    limit: Option<u32>,
+    /// `next` of the previous page.
+    after: Option<String>,
+    /// Only of this powder, by id.
+    powder: Option<String>,
+    /// Only of this lot.
+    lot: Option<String>,
+    /// Only into this vial.
+    vial: Option<String>,
+    /// Only asked for by this operator.
+    operator: Option<String>,
+    /// Only by this policy, by id.
+    policy: Option<String>,
+    /// Only on this kind of bench.
+    #[param(inline)]
+    bench: Option<wire::BenchKind>,
+    /// Only with this state.
+    #[param(inline)]
+    state: Option<wire::WeighingState>,
+    /// Only with this outcome.
+    #[param(inline)]
+    outcome: Option<wire::Outcome>,
+    /// Requested on this day (UTC) or later, `2026-11-24`, or from this time on,
+    /// `2026-11-24T08:00:00Z`.
+    since: Option<String>,
+    /// Requested on this day (UTC) or earlier, or before this time.
+    until: Option<String>,
+    /// Words, each of which stands in the id, powder, policy, lot, vial, operator or error; up to
+    /// 200 characters.
+    q: Option<String>,
+    /// Their order; default the newest request first.
+    #[serde(default)]
+    #[param(inline)]
+    sort: wire::WeighingSort,
+}
+
+/// List weighings: all, or those that match, and how many they are.
+#[utoipa::path(get, path = "/v1/weighings", tag = "weighings", params(WeighingsParams),
+    responses((status = 200, description = "A page of weighings", body = WeighingsFound)))]
 pub async fn list_weighings(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<WeighingsParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.weighings(params.into()).await?))
+    let WeighingsParams { limit, after, since, until, .. } = params;
+    let WeighingsParams { powder, lot, vial, operator, policy, q: text, .. } = params;
+    let wanted = WeighingsWanted {
+        powder,
+        lot,
+        vial,
+        operator,
+        policy,
+        text,
+        bench: params.bench.means(),
+        state: params.state.means(),
+        outcome: params.outcome.means(),
+        sort: params.sort.means(),
+        ..WeighingsWanted::default()
+    };
+    let asked = WeighingsAsked { wanted, since, until };
+    let found = app.weighings(asked, PageQuery { limit, after }).await?;
+    Ok((to_next(&uri, found.page.next.as_deref()), answer(found)).into_response())
 }
 
 /// Weigh a dose.

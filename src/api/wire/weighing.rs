@@ -301,7 +301,7 @@ answer! { flip_core::domain::weighing::MeasuredMass => MeasuredMass {
 } }
 
 /// How a weighing ended, under the API's names.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// Within tolerance by the reading. Never used if nothing was poured.
@@ -327,9 +327,12 @@ pub enum Outcome {
 answer! { flip_core::domain::weighing::Outcome => enum Outcome {
     Within, Under, Over, NotStable, Blocked, Probed, Stopped, Aborted, Unknown,
 } }
+request! { enum Outcome => flip_core::domain::weighing::Outcome {
+    Within, Under, Over, NotStable, Blocked, Probed, Stopped, Aborted, Unknown,
+} }
 
 /// State of a weighing.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WeighingState {
     /// Accepted and stored; waiting for the bench.
@@ -353,6 +356,47 @@ pub enum WeighingState {
 answer! { flip_core::domain::weighing::WeighingState => enum WeighingState {
     Planned, AwaitingVial, Armed, Dosing, Settling, Done, Aborted, Unknown,
 } }
+request! { enum WeighingState => flip_core::domain::weighing::WeighingState {
+    Planned, AwaitingVial, Armed, Dosing, Settling, Done, Aborted, Unknown,
+} }
+
+/// Order of weighings.
+#[derive(Debug, Clone, PartialEq, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum WeighingSort {
+    /// The newest request first.
+    #[default]
+    Newest,
+    /// The oldest request first.
+    Oldest,
+    /// The largest error first, of either sign; those without one last.
+    Error,
+    /// The largest target first.
+    Target,
+    /// The longest on the bench first; those that did not move last.
+    Seconds,
+}
+
+request! { enum WeighingSort => app::WeighingSort { Newest, Oldest, Error, Target, Seconds } }
+
+/// A page of the weighings that match, and how many match.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct WeighingsFound {
+    /// The weighings, in the order asked for.
+    pub items: Vec<Weighing>,
+    /// Pass it as `after` to read on; absent on the last page.
+    pub next: Option<String>,
+    /// How many match in all.
+    pub total: u64,
+}
+
+impl super::Answer for app::WeighingsFound {
+    type Wire = WeighingsFound;
+    fn wire(self) -> WeighingsFound {
+        let Self { page: app::Page { items, next }, total } = self;
+        WeighingsFound { items: items.wire(), next, total }
+    }
+}
 
 /// The devices behind a bench.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -1,0 +1,146 @@
+//! Weighings that match, in the order asked for, and how many there are.
+//!
+//! A list is read page by page by keyset: the cursor is the place of the last row, and the next page
+//! holds what comes after that row in the order asked for, also while doses come in.
+
+use super::page::{Page, Window};
+use super::row::word;
+use super::weighings::{Weighing, weighing};
+use super::{Result, Store};
+use flip_core::domain::bench::BenchKind;
+use flip_core::domain::timestamp::Timestamp;
+use flip_core::domain::weighing::{Outcome, WeighingState};
+use serde::{Deserialize, Serialize};
+use sqlx::{QueryBuilder, Sqlite};
+
+/// Which weighings. Empty: all.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct WeighingsWanted {
+    /// Only of this powder, by id.
+    pub powder: Option<String>,
+    /// Only of this lot of a powder.
+    pub lot: Option<String>,
+    /// Only into this vial.
+    pub vial: Option<String>,
+    /// Only asked for by this operator.
+    pub operator: Option<String>,
+    /// Only by this policy, by id.
+    pub policy: Option<String>,
+    /// Only on this kind of bench.
+    pub bench: Option<BenchKind>,
+    /// Only with this state.
+    pub state: Option<WeighingState>,
+    /// Only with this outcome.
+    pub outcome: Option<Outcome>,
+    /// Only requested at this time or later.
+    pub since: Option<Timestamp>,
+    /// Only requested before this time.
+    pub before: Option<Timestamp>,
+    /// Only with these words, in any case, each in the id, powder, policy, lot, vial, operator or
+    /// error.
+    pub text: Option<String>,
+    /// Their order.
+    pub sort: WeighingSort,
+}
+
+/// Order of weighings.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WeighingSort {
+    /// The newest request first.
+    #[default]
+    Newest,
+    /// The oldest request first.
+    Oldest,
+    /// The largest error first, of either sign; those without one last.
+    Error,
+    /// The largest target first.
+    Target,
+    /// The longest on the bench first; those that did not move last.
+    Seconds,
+}
+
+/// A page of matching weighings, and how many match.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WeighingsFound {
+    /// The page.
+    pub page: Page<Weighing>,
+    /// How many match in all.
+    pub total: u64,
+}
+
+impl WeighingSort {
+    /// What is ordered by, descending; the number of the row decides among equals.
+    fn key(self) -> &'static str {
+        match self {
+            Self::Newest => "seq",
+            Self::Oldest => "-seq",
+            Self::Error => "coalesce(abs(error_mg), -1)",
+            Self::Target => "target_mg",
+            Self::Seconds => "coalesce(seconds, -1)",
+        }
+    }
+}
+
+impl WeighingsWanted {
+    /// Adds the conditions to a statement that has come to its `WHERE`.
+    fn restrict(&self, sql: &mut QueryBuilder<Sqlite>) {
+        sql.push("TRUE");
+        let words = [
+            ("powder", self.powder.clone()),
+            ("policy", self.policy.clone()),
+            ("asked ->> 'lot'", self.lot.clone()),
+            ("asked ->> 'vial'", self.vial.clone()),
+            ("asked ->> 'operator'", self.operator.clone()),
+            ("bench", self.bench.as_ref().map(word)),
+            ("state", self.state.as_ref().map(word)),
+            ("outcome", self.outcome.as_ref().map(word)),
+        ];
+        for (column, is) in words {
+            if let Some(is) = is {
+                sql.push(format!(" AND {column} = ")).push_bind(is);
+            }
+        }
+        if let Some(since) = self.since {
+            sql.push(" AND created_at >= ").push_bind(since.unix_ms());
+        }
+        if let Some(before) = self.before {
+            sql.push(" AND created_at < ").push_bind(before.unix_ms());
+        }
+        for part in self.text.iter().flat_map(|text| text.split_whitespace()) {
+            sql.push(
+                " AND id || ' ' || powder || ' ' || policy || ' ' || coalesce(asked ->> 'lot', '') || ' ' || \
+                 coalesce(asked ->> 'vial', '') || ' ' || coalesce(asked ->> 'operator', '') || ' ' || coalesce(error, '') LIKE ",
+            );
+            sql.push_bind(format!("%{}%", escaped(part))).push(r" ESCAPE '\'");
+        }
+    }
+}
+
+/// A word of which `LIKE` takes every character as itself.
+fn escaped(word: &str) -> String {
+    word.replace('\\', r"\\").replace('%', r"\%").replace('_', r"\_")
+}
+
+impl Store {
+    /// A page of the weighings that match, and how many match.
+    pub async fn weighings_wanted(
+        &self,
+        wanted: &WeighingsWanted,
+        window: Window,
+    ) -> Result<WeighingsFound> {
+        let mut count = QueryBuilder::new("SELECT count(*) FROM weighing WHERE ");
+        wanted.restrict(&mut count);
+        let total: i64 = count.build_query_scalar().fetch_one(&self.reader).await?;
+        let key = wanted.sort.key();
+        let mut sql = QueryBuilder::new("SELECT * FROM weighing WHERE ");
+        wanted.restrict(&mut sql);
+        if let Some(after) = window.after {
+            sql.push(format!(" AND ({key}, seq) < (SELECT {key}, seq FROM weighing WHERE seq = "));
+            sql.push_bind(after).push(")");
+        }
+        sql.push(format!(" ORDER BY {key} DESC, seq DESC LIMIT ")).push_bind(window.rows());
+        let rows = sql.build().fetch_all(&self.reader).await?;
+        Ok(WeighingsFound { page: window.page_of(&rows, weighing)?, total: total.unsigned_abs() })
+    }
+}
