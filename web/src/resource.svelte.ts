@@ -28,6 +28,8 @@ export class Resource<T> {
 export interface Page<T> {
   items: T[]
   next?: string | null
+  /** How many there are in all, where the list says so. */
+  total?: number
 }
 
 /** Which page of a list is requested. */
@@ -43,6 +45,7 @@ const PAGE_MAX = 200
 export class Pages<T> {
   items = $state.raw<T[] | undefined>()
   next = $state.raw<string | null | undefined>()
+  total = $state.raw<number | undefined>()
   problem = $state.raw<Problem | undefined>()
   #asked = 0
 
@@ -50,19 +53,30 @@ export class Pages<T> {
     void this.reload()
   }
 
-  /** Reloads as many as are shown. */
-  reload = () => this.#ask(Math.min(PAGE_MAX, Math.max(PAGE, this.items?.length ?? 0)))
+  /** Reloads as many as are shown, so that the reader keeps the place. */
+  reload = () => this.#ask([], undefined, Math.max(PAGE, this.items?.length ?? 0))
+
+  /** Begins again with the first page, as after another question. */
+  restart = () => this.#ask([], undefined, PAGE)
 
   /** Appends the next page. */
-  more = () => this.#ask(PAGE, this.next ?? undefined)
+  more = () => this.#ask(this.items ?? [], this.next ?? undefined, PAGE)
 
-  async #ask(limit: number, after?: string): Promise<void> {
+  /** Shows these items, and so many more after them. */
+  async #ask(items: T[], after: string | undefined, count: number): Promise<void> {
     const question = ++this.#asked
     try {
-      const page = await this.fetch({ limit, after })
-      if (question !== this.#asked) return
-      this.items = after ? [...(this.items ?? []), ...page.items] : page.items
+      const most = items.length + count
+      let page: Page<T>
+      do {
+        page = await this.fetch({ limit: Math.min(PAGE_MAX, most - items.length), after })
+        if (question !== this.#asked) return
+        items = [...items, ...page.items]
+        after = page.next ?? undefined
+      } while (after && items.length < most)
+      this.items = items
       this.next = page.next
+      this.total = page.total
       this.problem = undefined
     } catch (error) {
       if (question === this.#asked) this.problem = Problem.of(error)

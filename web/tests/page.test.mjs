@@ -270,7 +270,37 @@ describe('a weighing', () => {
     await row('Weighings', 'Stopped').waitFor()
     const cells = await tableCells(table('Weighings'))
     assert.ok(cells.slice(1).every((c) => c[1] === 'Stopped'))
-    assert.equal(await table('Weighings').getByRole('columnheader', { name: 'Target (mg)' }).getAttribute('aria-sort'), 'ascending')
+    assert.equal(await table('Weighings').getByRole('columnheader', { name: 'Target (mg)' }).getAttribute('aria-sort'), 'descending')
+  })
+
+  it('is found among all by what is asked for, with a count, and the CSV holds every match', async () => {
+    await chromium.open(page, 'weighings')
+    await unlock(page, service.token)
+    const ask = (key, asked, value) =>
+      service.post('/v1/weighings', { powder: 'sand', target: { value, unit: 'mg' }, tolerance: { lower: 1, upper: 1, unit: 'mg' }, policy: made.policy, asked }, { 'idempotency-key': key })
+    const doses = [await ask('found-1', { lot: 'B-77', vial: 'V1', operator: 'Ada' }, 6), await ask('found-2', { lot: 'B-77', vial: 'V2', operator: 'Bo' }, 9), await ask('found-3', { lot: 'C-1' }, 7)]
+    // A row that still changes would not equal its line of the CSV.
+    const ends = async ({ id }) => {
+      while (!(await service.get(`/v1/weighings/${id}`)).weighing.outcome) await new Promise((done) => setTimeout(done, 200))
+    }
+    await Promise.all(doses.map(ends))
+    await page.getByLabel('Lot').last().fill('B-77')
+    await page.keyboard.press('Enter')
+    await page.getByRole('status').getByText('2 match').waitFor()
+    await table('Weighings').getByRole('button', { name: 'Target (mg)' }).click()
+    await page.waitForURL(/lot=B-77/)
+    const cells = await tableCells(table('Weighings'))
+    const column = (name) => cells[0].findIndex((text) => text.startsWith(name))
+    assert.deepEqual(cells.slice(1).map((row) => [row[column('Target')], row[column('Vial')]]), [['9.00', 'V2'], ['6.00', 'V1']])
+    assert.equal((await csvEqualsTable('Weighings')).length, 3)
+    await page.getByLabel('Search').fill('bo v2')
+    await page.keyboard.press('Enter')
+    await page.getByRole('status').getByText('1 match').waitFor()
+    const day = (days) => new Date(Date.now() + days * 86_400_000).toISOString().slice(0, 10)
+    await page.getByLabel('From').fill(day(2))
+    await page.getByText('No weighing matches.').waitFor()
+    await page.getByRole('button', { name: 'Show all' }).click()
+    await page.getByRole('status').getByText(/in all/).waitFor()
   })
 })
 

@@ -95,7 +95,8 @@ export const currentSimulator = () => body(client.GET('/v1/simulators/current'))
 /** Makes a version or the base current. Repeating the request changes nothing. */
 export const chooseSimulator = (simulator: string) => body(client.PUT('/v1/simulators/current', { body: { simulator } }))
 
-export const weighings = (query: Query = {}) => body(client.GET('/v1/weighings', { params: { query } }))
+export type WeighingsQuery = NonNullable<paths['/v1/weighings']['get']['parameters']['query']>
+export const weighings = (query: WeighingsQuery = {}) => body(client.GET('/v1/weighings', { params: { query } }))
 export const weighing = (id: string) => body(client.GET('/v1/weighings/{id}', { params: at(id) }))
 /** No response within this time leaves it unknown whether a dose was accepted. */
 const WEIGHING_MS = 20_000
