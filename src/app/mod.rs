@@ -274,7 +274,8 @@ impl App {
 /// A weighing needs a policy before any has been trained.
 async fn store_shipped_policies(store: &Store) -> store::Result<()> {
     let mut tx = store.write().await?;
-    for Shipped { id, policy, bytes } in all_shipped() {
+    // Lists begin with the newest: the default.
+    for Shipped { id, policy, bytes } in all_shipped().into_iter().rev() {
         let manifest = serde_json::to_string(&policy.manifest);
         let manifest = manifest.map_err(|error| store::Error::Corrupt(error.to_string()))?;
         tx.insert_policy(id, policy.manifest.kind.name(), None, &manifest, bytes).await?;
