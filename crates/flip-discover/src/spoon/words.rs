@@ -156,15 +156,28 @@ pub(super) fn sentence(report: &PowderReport, is_proposed: bool) -> String {
             first.amplitude_ci95[1]
         ),
         (Verdict::Hint, Some(first)) => {
-            format!("perhaps {}: {}", plain(first.cause.name().0), first.experiment)
+            format!("perhaps {}. {}", plain(first.cause.name().0), tells(&first.experiment))
         }
         (Verdict::Ambiguous, Some(first)) => {
             let open: Vec<String> = report.ambiguous_between.iter().map(|it| plain(it)).collect();
-            format!("{}; {}", open.join(" or "), first.experiment)
+            format!("{}. {}", either(&open), tells(&first.experiment))
         }
         _ => "no cause of the catalogue explains it".to_owned(),
     };
     format!("{masses}: {why}{}.", gained(report)).replace("..", ".")
+}
+
+/// `a, b or c`.
+fn either(names: &[String]) -> String {
+    match names.split_last() {
+        Some((last, others)) if !others.is_empty() => format!("{} or {last}", others.join(", ")),
+        _ => names.concat(),
+    }
+}
+
+/// The experiment that would decide.
+fn tells(experiment: &str) -> String {
+    format!("What would tell: {}", names::lower(experiment))
 }
 
 /// A cause in the middle of a sentence.
@@ -202,4 +215,18 @@ pub(super) fn blind_spots(settings: &Settings, reports: &[PowderReport]) -> Vec<
         format!("{}: {judged} of {given} spoonfuls, as many as the replays allow.", it.powder)
     }));
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn causes_and_what_would_tell_them_apart_read_as_sentences() {
+        let names = ["grain shape", "humidity", "adhesion"].map(str::to_owned);
+        assert_eq!(either(&names), "grain shape, humidity or adhesion");
+        assert_eq!(either(&names[..2]), "grain shape or humidity");
+        assert_eq!((either(&names[..1]), either(&[])), ("grain shape".into(), String::new()));
+        assert_eq!(tells("Weigh it again."), "What would tell: weigh it again.");
+    }
 }
