@@ -57,6 +57,7 @@ describe('the bench', () => {
     await page.getByText('This button is not an emergency stop; the emergency stop is wired.').waitFor()
     const stop = page.getByRole('button', { name: 'Stop', exact: true })
     await page.evaluate(() => scrollTo(0, document.body.scrollHeight))
+    assert.match(await page.title(), /^Moving · Bench · FLIP$/)
     const { y } = await stop.boundingBox()
     assert.ok(y >= 0 && y < 900, `the button is at ${y}`)
     await picture(page, 'bench-moving')
@@ -96,6 +97,10 @@ describe('a latched bench', () => {
     await unlock(page, service.token)
     await page.locator('main .badge').getByText('Latched').waitFor()
     await page.getByText(latch().reason).waitFor()
+    assert.match(await page.title(), /^Latched · Bench · FLIP$/)
+    const icon = await page.locator('link[rel=icon]').evaluate((link) => link.href)
+    assert.match(icon, /mark-latched\.svg$/)
+    assert.equal((await fetch(icon)).headers.get('content-type'), 'image/svg+xml')
     assert.equal(await page.getByRole('link', { name: 'this weighing' }).getAttribute('href'), `#/weighings/${made.weighing}`)
     await picture(page, 'bench-latched')
     const said = []
