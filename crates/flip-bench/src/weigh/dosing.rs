@@ -36,6 +36,8 @@ pub(super) struct Course {
     pub(super) falls: Vec<Fall>,
     /// Whether it was levelled and shaken to loosen the powder.
     pub(super) loosened: bool,
+    /// Its shakes when it was last lowered to where there is room.
+    pub(super) lowered_after: usize,
 }
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
@@ -62,7 +64,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             let said = std::slice::from_ref(&course.falls);
             limits.forecast =
                 limits.forecast.map(|prior| prior.informed(said, limits.readability_mg));
-            self.refill(&mut course, ladder::REFILL)?;
+            self.refill_after(&halt, &mut course)?;
         }
     }
 
@@ -103,6 +105,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             from_mg: 0.0,
             falls: Vec::new(),
             loosened: false,
+            lowered_after: 0,
         };
         self.record(&course, Action::default(), first)?;
         self.is_tared(before, now)?;
@@ -137,6 +140,12 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             if self.settings.strict && allowed.is_ok() && self.is_empty(limits, course) {
                 let pitch_deg = limits.pitch.upper_deg;
                 allowed = Err(Halt::Blocked { strokes: 1, pitch_deg });
+            }
+            if self.settings.strict && self.may_be_lowered(&allowed, limits, course) {
+                match self.lower(limits, course)? {
+                    None => continue,
+                    halt => return Ok(halt),
+                }
             }
             if self.may_be_loosened(&allowed, limits, course) {
                 match self.loosen(limits, course)? {
@@ -199,7 +208,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         (lifted, lifted != proposed)
     }
 
-    fn situation<'c>(&self, course: &'c Course, read_s: f64) -> Situation<'c> {
+    pub(super) fn situation<'c>(&self, course: &'c Course) -> Situation<'c> {
+        let read_s = self.bench.elapsed_s();
         Situation {
             target_mg: self.order.target_mg,
             tolerance_upper_mg: self.order.tolerance_upper_mg,
@@ -223,7 +233,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         course: &Course,
         proposed: Action,
     ) -> Result<Allowed, Halt> {
-        guard(limits, &self.situation(course, self.bench.elapsed_s()), proposed)
+        guard(limits, &self.situation(course), proposed)
     }
 
     /// The guard's decision, after a wait for a sign of life from a display that it doubts.
@@ -238,7 +248,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             return Ok(allowed);
         }
         self.believe(course)?;
-        let now = self.situation(course, self.bench.elapsed_s());
+        let now = self.situation(course);
         Ok(guard(limits, &Situation { unproven: Some(0), is_felt: true, ..now }, proposed))
     }
 

@@ -9,6 +9,9 @@
 //! 4  a new spoonful                             where the arm fills its spoon
 //! ```
 //!
+//! A spoon whose gentlest shake might release more than there is room for is lowered without a shake to
+//! where it would not, and filled anew where there is no such pitch: level, a full spoon releases less.
+//!
 //! Every stroke of it is forecast and bounded by the guard like any other. A spoon known to be
 //! almost empty goes to rung 4 at once; so does a powder that comes in pieces
 //! ([`Forecast::in_pieces`](super::forecast::Forecast::in_pieces)) and is silent at the end of the
@@ -16,10 +19,12 @@
 
 use super::dosing::Course;
 use super::forecast::Fall;
-use super::guard::{AT_THE_END_DEG, Allowed, FULL, Halt, Limits, silent_at_the_end};
+use super::guard::{
+    AT_THE_END_DEG, Allowed, FULL, Halt, Limits, Situation, guard, silent_at_the_end,
+};
 use super::{Decision, Event, Halted, Loop};
 use crate::hardware::Bench;
-use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, STROKES_MAX};
+use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MIN, STROKES_MAX};
 use std::ops::ControlFlow;
 
 /// Silent shakes at the end of the pitch after which the next is a full one.
@@ -80,8 +85,13 @@ fn strokes(limits: &Limits, full: &[&Fall], missing_mg: f64, steps_left: u32) ->
 
 /// What the record says of a loosening,
 const LOOSEN: &str = "nothing falls: the spoon is levelled and shaken to loosen the powder";
-/// and of a new spoonful.
-pub(super) const REFILL: &str = "the spoon gives no more: it is filled anew";
+/// of a spoon that is lowered,
+const LOWER: &str = "here even the gentlest shake might let too much fall: the spoon is lowered, without a shake, to where it would not";
+/// of a new spoonful,
+const REFILL: &str = "the spoon gives no more: it is filled anew";
+/// and of one that is to begin gently.
+const REFILL_GENTLY: &str =
+    "the spoon gives too much at once for what is missing: it is filled anew, and begins gently";
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     /// What this spoonful is to release, mg: what is missing, or a portion of a larger target that a
@@ -91,6 +101,53 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         match self.settings.spoon_mg {
             Some(spoon_mg) if missing_mg > spoon_mg => PORTION * spoon_mg,
             _ => missing_mg,
+        }
+    }
+
+    /// Whether the spoon may be lowered after this halt: it was shaken since it last was, and at the
+    /// lowest pitch the gentlest shake would leave room.
+    pub(super) fn may_be_lowered(
+        &self,
+        allowed: &Result<Allowed, Halt>,
+        limits: &Limits,
+        course: &Course,
+    ) -> bool {
+        let lowest_deg = limits.pitch.lower_deg;
+        matches!(allowed, Err(Halt::NoRoom { .. }))
+            && course.lowered_after < course.falls.len()
+            && self.bench.pitch_deg() > lowest_deg + AT_THE_END_DEG
+            && self.has_room_at(lowest_deg, limits, course)
+    }
+
+    /// Whether the gentlest shake at this pitch, or lower within a step's reach, would leave room.
+    fn has_room_at(&self, pitch_deg: f64, limits: &Limits, course: &Course) -> bool {
+        let there = Situation { pitch_deg, ..self.situation(course) };
+        guard(limits, &there, Action::once(0.0, SHAKE_MM_MIN)).is_ok()
+    }
+
+    /// Lower the spoon without a shake until there is room for the gentlest. These steps are not the
+    /// policy's, and do not count as such. Returns why it was not finished, if so.
+    pub(super) fn lower(
+        &mut self,
+        limits: &Limits,
+        course: &mut Course,
+    ) -> Result<Option<Halt>, Halted> {
+        let steps = course.steps;
+        course.lowered_after = course.falls.len();
+        self.decide(course, LOWER)?;
+        loop {
+            let left_deg = limits.pitch.lower_deg - self.bench.pitch_deg();
+            let next = Action::once(left_deg.max(-INCLINE_CHANGE_DEG_MAX), 0.0);
+            let allowed = self.guard(limits, course, next);
+            if let Some(halt) = self.carry_out(course, next, allowed)? {
+                return Ok(Some(halt));
+            }
+            course.steps = steps;
+            let pitch_deg = self.bench.pitch_deg();
+            let is_lowest = pitch_deg < limits.pitch.lower_deg + AT_THE_END_DEG;
+            if is_lowest || self.has_room_at(pitch_deg, limits, course) {
+                return Ok(None);
+            }
         }
     }
 
@@ -145,6 +202,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             Halt::Blocked { .. } => true,
             // The steps were made for one spoonful.
             Halt::StepsSpent => !self.is_last(course),
+            // A full spoon is gentle while it is level; one that may not be shaken even once never is.
+            Halt::NoRoom { .. } => !course.falls.is_empty(),
             _ => false,
         };
         let missing_mg = self.order.target_mg - course.now.mass_mg;
@@ -184,12 +243,19 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
+    /// Fill the spoon anew after this halt.
+    pub(super) fn refill_after(&mut self, halt: &Halt, course: &mut Course) -> Result<(), Halted> {
+        let is_lively = matches!(halt, Halt::NoRoom { .. });
+        self.refill(course, if is_lively { REFILL_GENTLY } else { REFILL })
+    }
+
     /// Fill the spoon anew, for this reason; the rest of the dose is a dose of its own.
     pub(super) fn refill(&mut self, course: &mut Course, why: &str) -> Result<(), Halted> {
         self.decide(course, why)?;
         self.bench.refill()?;
         course.spoonful += 1;
         course.loosened = false;
+        course.lowered_after = 0;
         course.falls.clear();
         // Levelling a steep spoon may have released some.
         self.read_on(course, Action::default(), true)?;

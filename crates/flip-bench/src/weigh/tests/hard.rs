@@ -74,6 +74,43 @@ fn a_powder_that_comes_in_pieces_gets_a_new_spoonful_once_it_is_silent() {
     assert_eq!([10.0, 60.0].map(loosened), [0, 1]);
 }
 
+/// What shakes at 50 deg give: the spoon takes six steps there.
+fn after_the_way_up(gives_mg: &[f64]) -> Vec<f64> {
+    [&[0.0; 6], gives_mg].concat()
+}
+
+#[test]
+fn a_spoon_too_lively_for_what_is_missing_is_filled_anew_unless_it_is_so_at_once() {
+    // Neither the pitch nor the stroke makes it gentler.
+    let lively = Forecast { per_deg: 0.0, per_ln_mm: 0.0, first_chance: 0.0, ..Forecast::GENERIC };
+    for (level, outcome) in [(-4.0, Outcome::Within), (-1.0, Outcome::Under)] {
+        let settings = Settings { forecast: Some(Forecast { level, ..lively }), ..BLIND };
+        let mut bench =
+            Scripted { refills: true, ..Scripted::giving(&after_the_way_up(&[8.0, 1.0])) };
+        let (weighed, said) = weigh_hard(&mut bench, &ORDER, &settings);
+        let refills = said.iter().filter(|it| it.contains("begins gently")).count();
+        assert_eq!((weighed.outcome, refills), (outcome, 1), "{said:?}");
+        assert!(!said.iter().any(|it| it.contains("lowered")) && bench.is_safe(), "{said:?}");
+    }
+}
+
+#[test]
+fn a_spoon_too_lively_at_its_pitch_is_lowered_without_a_shake_once_for_each_shake() {
+    let known = Forecast { level: -7.0, per_ln_mm: 0.0, first_chance: 0.0, ..Forecast::GENERIC };
+    let settings = Settings { forecast: Some(known), ..BLIND };
+    let mut bench = Scripted::giving(&after_the_way_up(&[8.0, 0.0]));
+    let (weighed, said) = weigh_hard(&mut bench, &ORDER, &settings);
+    // This policy raises it again and again.
+    let lowered = said.iter().filter(|it| it.contains("lowered, without a shake")).count();
+    let shakes = bench.actions.iter().filter(|(_, action)| action.shake_mm > 0.0).count();
+    assert!((1..=shakes).contains(&lowered) && weighed.reading_mg == Some(8.0), "{said:?}");
+    let shaken = bench.actions.iter().position(|(_, action)| action.shake_mm > 0.0).unwrap();
+    let after = &bench.actions[shaken + 1..];
+    let down = after.iter().take_while(|(_, action)| action.incline_change_deg < 0.0).count();
+    let (lowest_deg, _) = after[down - 1];
+    assert!((-10.0..42.0).contains(&lowest_deg) && bench.is_safe(), "{after:?}");
+}
+
 #[test]
 fn a_powder_that_flows_after_a_rung_is_weighed() {
     // Nothing for the first four shakes at the end, then a piece.
