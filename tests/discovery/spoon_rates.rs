@@ -102,15 +102,23 @@ impl SpoonScored {
         self.claimed().is_some() && self.claimed() == self.right()
     }
 
-    pub fn is_family_named(&self) -> bool {
+    /// The family of all causes that the verdict leaves open.
+    pub fn claimed_family(&self) -> Option<&'static str> {
         let of = |name: &str| SpoonCause::ALL.into_iter().find(|it| it.name().0 == name);
-        let is_own = |cause: SpoonCause| Some(cause.name().1) == self.family();
-        let mut candidates = self.ambiguous_between.iter().filter_map(|name| of(name));
-        match self.verdict {
-            Verdict::Cause => self.claimed().is_some_and(is_own),
-            Verdict::Ambiguous => candidates.all(is_own),
-            _ => false,
+        let candidates = self.ambiguous_between.iter().filter_map(|name| of(name));
+        let mut open = match self.verdict {
+            Verdict::Cause => self.claimed().into_iter().collect(),
+            Verdict::Ambiguous => candidates.collect::<Vec<_>>(),
+            _ => Vec::new(),
         }
+        .into_iter()
+        .map(|cause| cause.name().1);
+        let first = open.next()?;
+        open.all(|family| family == first).then_some(first)
+    }
+
+    pub fn is_family_named(&self) -> bool {
+        self.claimed_family().is_some() && self.claimed_family() == self.family()
     }
 
     pub fn is_top(&self) -> bool {
@@ -122,7 +130,7 @@ impl SpoonScored {
     }
 
     pub fn is_wrong(&self) -> bool {
-        self.claimed().is_some_and(|cause| Some(cause.name().1) != self.family())
+        self.claimed_family().is_some_and(|family| Some(family) != self.family())
     }
 
     fn is_another_member(&self) -> bool {
@@ -279,9 +287,9 @@ fn rows(text: &mut String, own: &[&SpoonScored]) {
     row(text, "outside the catalogue: found", &outside, &SpoonScored::is_found, "");
     row(
         text,
-        "outside the catalogue: no cause claimed",
+        "outside the catalogue: neither cause nor family claimed",
         &outside,
-        &|it| it.claimed().is_none(),
+        &|it| it.claimed_family().is_none(),
         "",
     );
     for [one, other] in PAIRS {

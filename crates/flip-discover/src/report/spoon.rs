@@ -1,6 +1,7 @@
 //! The document of what spoonfuls say.
 
 use super::Verdict;
+use crate::thresholds::CLAIM;
 use flip_core::domain::conditions::Patch;
 use serde::{Deserialize, Serialize};
 
@@ -126,8 +127,18 @@ pub struct PowderReport {
     pub ambiguous_between: Vec<String>,
     /// On spoonfuls left out; absent where nothing was found or too few can be left out.
     pub gain: Option<SpoonGain>,
-    /// The cause as changes of the simulator; absent unless it is a cause that predicts better.
+    /// The most probable cause as changes of the simulator; absent unless it predicts spoonfuls left
+    /// out better. With verdict `ambiguous` it does so by itself, whatever its name.
     pub extension: Option<SpoonExtension>,
+}
+
+impl PowderReport {
+    /// With verdict `ambiguous`: the family of all its causes, if it is as probable as a cause that is
+    /// claimed.
+    pub fn named_family(&self) -> Option<&FamilyShare> {
+        let first = self.families.first().filter(|it| it.probability >= CLAIM)?;
+        (self.verdict == Verdict::Ambiguous).then_some(first)
+    }
 }
 
 /// One number of a powder.

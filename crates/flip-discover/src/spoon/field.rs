@@ -58,16 +58,24 @@ const FRICTION: f64 = 0.3;
 const SLOPE_MIN: f64 = 3.0;
 
 impl<'a> Field<'a> {
-    /// The spoonfuls of a powder that the budget allows, spread over all of them.
+    /// The spoonfuls of a powder that the budget allows, spread over all of them and over their places
+    /// in a weighing: a probing run makes each of its spoonfuls with another stroke.
     pub fn of(powder: &str, all: &'a [Spoonful], most: usize) -> Self {
         let own: Vec<(usize, &Spoonful)> =
             all.iter().enumerate().filter(|(_, it)| it.powder == powder).collect();
         let count = own.len().min(most);
         let spoonfuls: Vec<(usize, &Spoonful)> =
-            (0..count).map(|k| own[k * own.len() / count]).collect();
+            (0..count).map(|k| own[k * own.len() / count + k % (own.len() / count)]).collect();
         let fell = |it: &Spoonful| it.shakes.iter().map(|shake| shake.fell_mg).collect();
         let measured = spoonfuls.iter().map(|(_, it)| fell(it)).collect();
         Self { spoonfuls, measured, base: vec![], angles_deg: vec![], nodes: vec![] }
+    }
+
+    /// The same with the replays of one cause alone.
+    pub fn with_only(&self, cause: SpoonCause) -> Self {
+        let mut alone = self.clone();
+        alone.nodes.retain(|node| node.cause == cause);
+        alone
     }
 
     /// The frame of the spoonfuls at these places.

@@ -285,7 +285,15 @@ fn judged(
         report.ambiguous_between =
             found.candidates().iter().map(|cause| cause.name().0.to_owned()).collect();
     }
-    if report.verdict == Verdict::Cause {
+    // An open cause that predicts spoonfuls left out by itself mends the simulator all the same.
+    let mends = || {
+        let alone = found.causes.first().map(|first| field.with_only(first.cause));
+        let gain = alone.and_then(|field| held_out::gain(&field, &used, plan.of.angle, seed));
+        gain.is_some_and(|gain| gain.accepted)
+    };
+    if report.verdict == Verdict::Cause
+        || (report.verdict == Verdict::Ambiguous && has_effect && accepted && mends())
+    {
         report.extension = extension(field, &weighed, &found);
     }
     for (k, course) in report.courses.iter_mut().enumerate() {

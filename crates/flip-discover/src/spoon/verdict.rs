@@ -38,12 +38,17 @@ impl Judged {
         Self { causes, unknown, proposal, alike }
     }
 
-    /// Two or three causes that cannot be told apart.
+    /// Two or three causes that cannot be told apart: of one family, if it is as probable as a cause
+    /// that is claimed.
     pub fn candidates(&self) -> Vec<SpoonCause> {
-        let probable = self.causes.iter().filter(|it| it.probability >= WORTH_TELLING);
+        let named = self.families().into_iter().next().filter(|it| it.probability >= CLAIM);
+        let is_of_it = |family: &str| named.as_ref().is_none_or(|named| named.family == family);
+        let of_it: Vec<_> = self.causes.iter().filter(|it| is_of_it(&it.family)).collect();
+        let probable = of_it.iter().filter(|it| it.probability >= WORTH_TELLING);
         let mut all: Vec<SpoonCause> = probable.map(|it| it.cause).collect();
         if all.len() < 2 {
-            let others = self.alike.iter().copied().chain(self.causes.iter().map(|it| it.cause));
+            let alike = self.alike.iter().copied().filter(|it| is_of_it(it.name().1));
+            let others = alike.chain(of_it.iter().map(|it| it.cause));
             let first = self.causes.first().map(|it| it.cause);
             all = first.into_iter().collect();
             all.extend(others.filter(|cause| Some(*cause) != first).take(1));

@@ -147,24 +147,48 @@ pub(super) fn sentence(report: &PowderReport, is_proposed: bool) -> String {
         (Verdict::NoDiscrepancy, _) => {
             format!("no discrepancy (p {:.2})", report.p_corrected)
         }
-        (Verdict::Cause, Some(first)) => format!(
-            "{} ({:.0} %), amplitude {:.2} [{:.2}, {:.2}]",
-            plain(first.cause.name().0),
-            100.0 * first.probability,
-            first.amplitude,
-            first.amplitude_ci95[0],
-            first.amplitude_ci95[1]
-        ),
+        (Verdict::Cause, Some(first)) => {
+            format!(
+                "{} ({:.0} %), amplitude {:.2} [{:.2}, {:.2}]",
+                plain(first.cause.name().0),
+                100.0 * first.probability,
+                first.amplitude,
+                first.amplitude_ci95[0],
+                first.amplitude_ci95[1]
+            ) + &gained(report)
+        }
         (Verdict::Hint, Some(first)) => {
             format!("perhaps {}. {}", plain(first.cause.name().0), tells(&first.experiment))
         }
         (Verdict::Ambiguous, Some(first)) => {
             let open: Vec<String> = report.ambiguous_between.iter().map(|it| plain(it)).collect();
-            format!("{}. {}", either(&open), tells(&first.experiment))
+            let open = either(&open);
+            let said = match report.named_family() {
+                Some(it) => {
+                    format!("{} ({:.0} %): {open}", family(&it.family), 100.0 * it.probability)
+                }
+                None => open,
+            };
+            let mended =
+                report.extension.as_ref().map_or("", |_| ", and the first mends the simulator");
+            format!("{said}{mended}{}. {}", gained(report), tells(&first.experiment))
         }
         _ => "no cause of the catalogue explains it".to_owned(),
     };
-    format!("{masses}: {why}{}.", gained(report)).replace("..", ".")
+    format!("{masses}: {why}.").replace("..", ".")
+}
+
+/// What the causes of a family have in common.
+fn family(name: &str) -> &str {
+    match name {
+        "spoon" => "the spoon holds powder back",
+        "attraction" => "grains attract each other",
+        "shape" => "grains interlock",
+        "sizes" => "grains differ in size",
+        "motion" => "the spoon moves otherwise than simulated",
+        "filling" => "the spoon is filled otherwise than simulated",
+        other => other,
+    }
 }
 
 /// `a, b or c`.
@@ -186,7 +210,7 @@ fn plain(cause: &str) -> String {
 }
 
 fn gained(report: &PowderReport) -> String {
-    let gain = report.gain.as_ref().filter(|_| report.verdict == Verdict::Cause);
+    let gain = report.gain.as_ref().filter(|gain| gain.accepted);
     gain.map_or(String::new(), |gain| {
         format!(
             "; on {} spoonfuls left out the error falls from {:.1} to {:.1} mg (a sham: {:.1} mg)",
