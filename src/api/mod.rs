@@ -33,6 +33,7 @@ use std::net::{SocketAddr, TcpListener};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::compression::CompressionLayer;
 
 /// How long open requests may take to finish once the service shuts down.
 const DRAIN: Duration = Duration::from_secs(10);
@@ -110,6 +111,8 @@ fn main_router(app: &App, closing: CancellationToken) -> Router {
         .merge(grpc::router(app.clone(), closing))
         .merge(probes::metrics(app.clone()))
         .fallback(page::fallback)
+        // Not event streams and gRPC, which must arrive as they are sent.
+        .layer(CompressionLayer::new())
         .layer(from_fn(auth::on_behalf))
         .layer(from_fn(asked::as_of_head))
         .layer(CatchPanicLayer::custom(edge::panicked))

@@ -57,6 +57,31 @@ async fn the_page_is_served_at_the_root_and_at_addresses_of_its_own() {
     problem(service.get("/assets/missing.js").await, 404).await;
 }
 
+#[tokio::test]
+async fn an_answer_is_compressed_for_who_asks_and_a_stream_of_events_is_not() {
+    let service = Service::start().await;
+    let packed = async |path: &str| {
+        let request = service.request("GET", path).header("accept-encoding", "gzip");
+        request.send().await.unwrap()
+    };
+    let encoding =
+        |response: &reqwest::Response| response.headers().get("content-encoding").cloned();
+    let plain = service.get("/openapi.json").await;
+    assert_eq!(encoding(&plain), None);
+    let plain = plain.bytes().await.unwrap();
+    let answer = packed("/openapi.json").await;
+    assert_eq!(encoding(&answer).unwrap(), "gzip");
+    assert!(answer.headers()["vary"].to_str().unwrap().contains("accept-encoding"));
+    let answer = answer.bytes().await.unwrap();
+    assert!(4 * answer.len() < plain.len(), "{} of {}", answer.len(), plain.len());
+    let mut read = Vec::new();
+    std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&answer[..]), &mut read).unwrap();
+    assert_eq!(read, plain);
+    let events = packed("/v1/events").await;
+    assert_eq!(events.headers()["content-type"], "text/event-stream");
+    assert_eq!(encoding(&events), None);
+}
+
 /// The first line of the answer to these bytes.
 async fn answer_to(service: &Service, bytes: &str) -> String {
     let mut connection = tokio::net::TcpStream::connect(service.address).await.unwrap();

@@ -82,5 +82,5 @@ export async function startService(...more) {
     throw new Error(`job ${id} is not done after ${seconds} s\n${log}`)
   }
 
-  return { url, token, get, post, finished, stop, kill: () => child.kill('SIGKILL') }
+  return { url, token, folder: join(folder, 'data'), get, post, finished, stop, kill: () => child.kill('SIGKILL') }
 }
