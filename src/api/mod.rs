@@ -34,6 +34,7 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
+use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
 
 /// How long open requests may take to finish once the service shuts down.
 const DRAIN: Duration = Duration::from_secs(10);
@@ -105,14 +106,19 @@ impl Server {
     }
 }
 
+/// Not event streams and gRPC, which must arrive as they are sent, nor problems, which [`edge`] writes
+/// once more.
+fn is_compressed() -> impl Predicate {
+    DefaultPredicate::new().and(NotForContentType::const_new("application/problem+json"))
+}
+
 /// Everything that the front end hands over.
 fn main_router(app: &App, closing: CancellationToken) -> Router {
     rest::router(app.clone())
         .merge(grpc::router(app.clone(), closing))
         .merge(probes::metrics(app.clone()))
         .fallback(page::fallback)
-        // Not event streams and gRPC, which must arrive as they are sent.
-        .layer(CompressionLayer::new())
+        .layer(CompressionLayer::new().compress_when(is_compressed()))
         .layer(from_fn(auth::on_behalf))
         .layer(from_fn(asked::as_of_head))
         .layer(CatchPanicLayer::custom(edge::panicked))

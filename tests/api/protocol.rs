@@ -58,7 +58,7 @@ async fn the_page_is_served_at_the_root_and_at_addresses_of_its_own() {
 }
 
 #[tokio::test]
-async fn an_answer_is_compressed_for_who_asks_and_a_stream_of_events_is_not() {
+async fn an_answer_is_compressed_for_who_asks_but_neither_a_problem_nor_a_stream_of_events() {
     let service = Service::start().await;
     let packed = async |path: &str| {
         let request = service.request("GET", path).header("accept-encoding", "gzip");
@@ -77,6 +77,9 @@ async fn an_answer_is_compressed_for_who_asks_and_a_stream_of_events_is_not() {
     let mut read = Vec::new();
     std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&answer[..]), &mut read).unwrap();
     assert_eq!(read, plain);
+    let refused = packed("/v1/powders/unobtainium").await;
+    assert_eq!(encoding(&refused), None);
+    problem(refused, 404).await;
     let events = packed("/v1/events").await;
     assert_eq!(events.headers()["content-type"], "text/event-stream");
     assert_eq!(encoding(&events), None);
