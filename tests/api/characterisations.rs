@@ -95,7 +95,12 @@ async fn a_probing_run_is_a_weighing_without_a_dose_and_its_shakes_are_on_the_ca
     assert!(before["card"]["missing"].as_str().unwrap().starts_with("0 of at least 2"), "{before}");
     let done = probed(&service, "one", "L1").await;
     let weighing = &done["weighing"];
-    assert_eq!((&weighing["state"], &weighing["outcome"]), (&json!("done"), &json!("probed")));
+    assert_eq!(
+        (&weighing["state"], &weighing["outcome"]),
+        (&json!("done"), &json!("probed")),
+        "{}",
+        weighing["error"]
+    );
     assert_eq!(
         weighing["asked"],
         json!({ "lot": "L1", "on_overdose": { "action": "stop" }, "probe": { "spoonfuls": 3 } })

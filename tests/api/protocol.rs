@@ -59,24 +59,29 @@ async fn the_page_is_served_at_the_root_and_at_addresses_of_its_own() {
 
 #[tokio::test]
 async fn an_answer_is_compressed_for_who_asks_but_neither_a_problem_nor_a_stream_of_events() {
-    let service = Service::start().await;
+    let service = Service::ready().await;
+    crate::record::weighed(&service, "one").await;
     let packed = async |path: &str| {
         let request = service.request("GET", path).header("accept-encoding", "gzip");
         request.send().await.unwrap()
     };
     let encoding =
         |response: &reqwest::Response| response.headers().get("content-encoding").cloned();
-    let plain = service.get("/openapi.json").await;
-    assert_eq!(encoding(&plain), None);
-    let plain = plain.bytes().await.unwrap();
-    let answer = packed("/openapi.json").await;
-    assert_eq!(encoding(&answer).unwrap(), "gzip");
-    assert!(answer.headers()["vary"].to_str().unwrap().contains("accept-encoding"));
-    let answer = answer.bytes().await.unwrap();
-    assert!(4 * answer.len() < plain.len(), "{} of {}", answer.len(), plain.len());
-    let mut read = Vec::new();
-    std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&answer[..]), &mut read).unwrap();
-    assert_eq!(read, plain);
+    // A document, and a stream of pieces.
+    for path in ["/openapi.json", "/v1/audit.csv"] {
+        let plain = service.get(path).await;
+        assert_eq!(encoding(&plain), None);
+        let plain = plain.bytes().await.unwrap();
+        let answer = packed(path).await;
+        assert_eq!(encoding(&answer).unwrap(), "gzip", "{path}");
+        assert!(answer.headers()["vary"].to_str().unwrap().contains("accept-encoding"));
+        let answer = answer.bytes().await.unwrap();
+        assert!(answer.len() < plain.len(), "{path}: {} of {}", answer.len(), plain.len());
+        let mut read = Vec::new();
+        std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&answer[..]), &mut read)
+            .unwrap();
+        assert_eq!(read, plain, "{path}");
+    }
     let refused = packed("/v1/powders/unobtainium").await;
     assert_eq!(encoding(&refused), None);
     problem(refused, 404).await;

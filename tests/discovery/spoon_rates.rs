@@ -3,8 +3,8 @@
 //!
 //! *Found*: the verdict is not `no_discrepancy`. *Named*: the verdict is `cause`, and the cause is
 //! the hidden one. *Named by family*: the verdict is `cause`, and its family is the hidden one's; or
-//! `ambiguous`, and every candidate is of that family. *Confident and wrong*: the verdict is
-//! `cause`, of another family. What lies outside the catalogue has no right name.
+//! `ambiguous`, and every candidate is of that family. *Confident and wrong*: another family is named
+//! in either way. What lies outside the catalogue has no right name.
 
 use crate::judge::{kept, limits};
 use crate::spoon_truth::{ANGLES_DEG, BALANCES, Balance, Bench, Powder, Truth, WHOLE};

@@ -180,7 +180,8 @@ async fn csv_pieces(
 async fn pieces(mut text: BoxStream<'static, app::Result<String>>) -> Result<Body, Problem> {
     let first = text.next().await.transpose()?;
     let rest = text.inspect_err(|error| tracing::warn!(%error, "a long answer broke off"));
-    Ok(Body::from_stream(stream::iter(first.map(Ok)).chain(rest)))
+    // What compresses it asks once more after its end.
+    Ok(Body::from_stream(stream::iter(first.map(Ok)).chain(rest).fuse()))
 }
 
 /// What an answer is made from, as JSON.
