@@ -9,6 +9,7 @@
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
+# make pictures   the pictures of the page in README and docs, of doses it has weighed on the emulated bench: about five minutes
 # make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
 # make stale   results in docs that are older than the code they speak of
 # make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
@@ -18,7 +19,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report dist lint check
+.PHONY: run test setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report pictures dist lint check
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -122,6 +123,10 @@ reliability: setup
 page-report: setup web chromium
 	cargo build --release --locked --bin flip
 	cd web && FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" node tests/page_report.mjs
+
+pictures: setup web chromium
+	cargo build --release --locked --bin flip
+	cd web && FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" npm run --silent pictures
 
 bench-stop: setup
 	cargo bench --locked --bench stop_latency $(ARGS)

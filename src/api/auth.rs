@@ -8,6 +8,8 @@
 //! | operator                                 | yes   | yes    | no     |
 //! | admin                                    | yes   | yes    | yes    |
 //!
+//! Anyone may log in, which is what a person without a token does ([`super::rest`], `/v1/login`).
+//!
 //! A latched bench can be cleared by an admin, or by an operator whose token permits it.
 //!
 //! A handler states its role with an extractor ([`Viewer`], [`Operator`], [`Admin`], [`Clearer`])
@@ -16,7 +18,7 @@
 
 use super::listen::is_loopback_name;
 use super::problem::Problem;
-use crate::app::{App, Holder, Role, Who, acting};
+use crate::app::{App, Holder, Role, Timestamp, Who, acting};
 use axum::extract::FromRequestParts;
 use axum::extract::Request;
 use axum::extract::State;
@@ -85,6 +87,23 @@ impl Caller {
         }
     }
 
+    /// Who the caller is, as told to the caller.
+    pub fn identity(&self) -> Identity {
+        match self.clone() {
+            Self::Anonymous { .. } => Identity {
+                token: None,
+                name: None,
+                role: Role::Viewer,
+                may_clear: false,
+                expires_at: None,
+                issuer: None,
+            },
+            Self::Holder(Holder { id, name, role, may_clear, expires_at, issuer }) => {
+                Identity { token: Some(id), name: Some(name), role, may_clear, expires_at, issuer }
+            }
+        }
+    }
+
     /// The caller as named in records.
     fn who(&self) -> Who {
         match self {
@@ -96,11 +115,29 @@ impl Caller {
     }
 }
 
+/// Who a caller is, and what the caller may do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Identity {
+    /// Id of the token; `None` without one.
+    pub token: Option<String>,
+    /// Its holder.
+    pub name: Option<String>,
+    /// What the caller may do.
+    pub role: Role,
+    /// Whether the caller may clear a latched bench.
+    pub may_clear: bool,
+    /// When the token expires; never if `None`.
+    pub expires_at: Option<Timestamp>,
+    /// Provider that the holder logged in with.
+    pub issuer: Option<String>,
+}
+
 #[cfg(test)]
 impl Caller {
     /// The holder of some token with this role.
     pub fn of_role(role: Role) -> Self {
-        Self::Holder(Holder { id: "1".to_owned(), name: "test".to_owned(), role, may_clear: false })
+        let (id, name) = ("1".to_owned(), "test".to_owned());
+        Self::Holder(Holder { id, name, role, may_clear: false, expires_at: None, issuer: None })
     }
 }
 
@@ -293,7 +330,8 @@ mod tests {
     }
 
     fn held(role: Role, may_clear: bool) -> Caller {
-        Caller::Holder(Holder { id: "0".into(), name: "test".into(), role, may_clear })
+        let (id, name) = ("0".into(), "test".into());
+        Caller::Holder(Holder { id, name, role, may_clear, expires_at: None, issuer: None })
     }
 
     #[test]

@@ -93,6 +93,7 @@ impl Server {
             front::router(self.app.clone(), self.config.is_loopback(), main, closing.clone());
         let front = Front::open(self.listener, tls, router, closing.clone())?;
         tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().keep_tokens()));
+        tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().greet_provider()));
         tokio::spawn(journal::keep(self.app.clone(), closing.clone()));
         shutdown.await;
         closing.cancel();

@@ -2,6 +2,9 @@
 //!
 //! The page is for browsers, which accept HTML. A program gets an error for an unknown path;
 //! otherwise it would believe it had found an endpoint.
+//!
+//! The build of the page leaves a Brotli copy beside each file that gains by it (`app.js.br`). A caller
+//! that reads Brotli gets the copy; every other answer is compressed as it is sent, or not at all.
 
 use super::problem::Problem;
 use super::{docs, grpc};
@@ -9,6 +12,7 @@ use axum::body::Body;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use rust_embed::{EmbeddedFile, RustEmbed};
+use std::borrow::Cow;
 
 #[derive(RustEmbed)]
 #[folder = "web/dist"]
@@ -25,31 +29,48 @@ pub async fn fallback(method: Method, uri: Uri, headers: HeaderMap) -> Response 
     if path.starts_with("v1/") || path == "v1" || !matches!(method, Method::GET | Method::HEAD) {
         return Problem::not_found("no such path; /openapi.json lists all").into_response();
     }
-    docs::answer(path).unwrap_or_else(|| answer(path, takes_html(&headers), Files::get))
+    docs::answer(path).unwrap_or_else(|| answer(path, Takes::of(&headers), Files::get))
 }
 
-/// Whether the caller explicitly accepts HTML; `*/*` alone is what programs send.
-fn takes_html(headers: &HeaderMap) -> bool {
-    let accepted = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
-    let kinds = accepted
-        .flat_map(|value| value.split(','))
-        .map(|kind| kind.split(';').next().unwrap_or_default().trim());
-    kinds.into_iter().any(|kind| {
-        kind.eq_ignore_ascii_case("text/html") || kind.eq_ignore_ascii_case("application/xhtml+xml")
+/// What the caller reads.
+#[derive(Clone, Copy, Default)]
+struct Takes {
+    /// It explicitly accepts HTML; `*/*` alone is what programs send.
+    html: bool,
+    brotli: bool,
+}
+
+impl Takes {
+    fn of(headers: &HeaderMap) -> Self {
+        Self {
+            html: lists(headers, &header::ACCEPT, &["text/html", "application/xhtml+xml"]),
+            brotli: lists(headers, &header::ACCEPT_ENCODING, &["br"]),
+        }
+    }
+}
+
+/// Whether a header that lists what is accepted has one of these, not with the weight 0, which refuses.
+fn lists(headers: &HeaderMap, name: &header::HeaderName, wanted: &[&str]) -> bool {
+    let values = headers.get_all(name).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).any(|one| {
+        let mut parts = one.split(';').map(str::trim);
+        let kind = parts.next().unwrap_or_default();
+        let weight = parts.find_map(|part| part.strip_prefix("q=")?.parse::<f32>().ok());
+        weight != Some(0.0) && wanted.iter().any(|wanted| kind.eq_ignore_ascii_case(wanted))
     })
 }
 
-fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response {
+fn answer(path: &str, takes: Takes, find: impl Fn(&str) -> Option<EmbeddedFile>) -> Response {
     let is_page = path.is_empty() || path == "index.html";
+    let packed =
+        |path: &str| takes.brotli.then(|| find(&format!("{path}.br"))).flatten().map(|f| f.data);
     if let Some(file) = find(path).filter(|_| !is_page) {
         // Vite puts a content hash in every file name below assets/.
         let hashed = path.starts_with("assets/");
-        return serve(
-            file,
-            if hashed { "public, max-age=31536000, immutable" } else { "no-cache" },
-        );
+        let cache = if hashed { "public, max-age=31536000, immutable" } else { "no-cache" };
+        return with_packed(serve(file, cache), packed(path));
     }
-    if !is_page && !takes_html {
+    if !is_page && !takes.html {
         return Problem::not_found("no such path; /openapi.json lists all").into_response();
     }
     let looks_like_a_file = path.rsplit('/').next().is_some_and(|name| name.contains('.'));
@@ -57,13 +78,24 @@ fn answer(path: &str, takes_html: bool, find: impl Fn(&str) -> Option<EmbeddedFi
         return Problem::not_found("the page has no such file").into_response();
     }
     match find("index.html") {
-        Some(page) => serve(page, "no-cache"),
+        Some(page) => with_packed(serve(page, "no-cache"), packed("index.html")),
         None => (
             StatusCode::OK,
             "FLIP is running. The page is not built: run make web, then build again.\n",
         )
             .into_response(),
     }
+}
+
+/// The same file as its Brotli copy, where there is one for this caller.
+fn with_packed(mut response: Response, packed: Option<Cow<'static, [u8]>>) -> Response {
+    if let Some(bytes) = packed {
+        *response.body_mut() = Body::from(bytes);
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static("br"));
+        headers.insert(header::VARY, HeaderValue::from_static("accept-encoding"));
+    }
+    response
 }
 
 /// Serves a file with this cache policy.
@@ -83,10 +115,14 @@ mod tests {
     #[folder = "proto"]
     struct Any;
 
-    /// A page made of `index.html` and one asset; the contents do not matter here.
+    /// A page made of `index.html` and one asset with its Brotli copy; the contents do not matter here.
     fn built(name: &str) -> Option<EmbeddedFile> {
-        matches!(name, "index.html" | "assets/app-1a2b.js").then(|| Any::get("build.rs").unwrap())
+        let files = ["index.html", "assets/app-1a2b.js", "assets/app-1a2b.js.br"];
+        files.contains(&name).then(|| Any::get("build.rs").unwrap())
     }
+
+    const PROGRAM: Takes = Takes { html: false, brotli: false };
+    const BROWSER: Takes = Takes { html: true, brotli: true };
 
     fn cache(response: &Response) -> &str {
         response.headers().get(header::CACHE_CONTROL).map_or("", |v| v.to_str().unwrap())
@@ -94,9 +130,9 @@ mod tests {
 
     #[test]
     fn hashed_files_are_kept_for_ever_and_the_page_is_asked_for_again() {
-        assert!(cache(&answer("assets/app-1a2b.js", false, built)).contains("immutable"));
+        assert!(cache(&answer("assets/app-1a2b.js", PROGRAM, built)).contains("immutable"));
         for path in ["", "index.html", "weighings/01890000"] {
-            let response = answer(path, true, built);
+            let response = answer(path, BROWSER, built);
             assert_eq!(
                 (response.status(), cache(&response)),
                 (StatusCode::OK, "no-cache"),
@@ -108,7 +144,7 @@ mod tests {
     #[test]
     fn a_missing_file_is_not_answered_with_the_page() {
         for path in ["assets/old-0000.js", "favicon.png", "../Cargo.toml"] {
-            assert_eq!(answer(path, true, built).status(), StatusCode::NOT_FOUND, "{path}");
+            assert_eq!(answer(path, BROWSER, built).status(), StatusCode::NOT_FOUND, "{path}");
         }
     }
 
@@ -117,7 +153,7 @@ mod tests {
         let accept = |kinds: &'static str| {
             let mut headers = HeaderMap::new();
             headers.insert(header::ACCEPT, HeaderValue::from_static(kinds));
-            takes_html(&headers)
+            Takes::of(&headers).html
         };
         assert!(
             accept("text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8")
@@ -126,18 +162,42 @@ mod tests {
         assert!(
             !accept("*/*")
                 && !accept("application/json, text/plain, */*")
-                && !takes_html(&HeaderMap::new())
+                && !Takes::of(&HeaderMap::new()).html
         );
         for path in ["status", "info", ".well-known/openid-configuration", "weighings/01890000"] {
-            let response = answer(path, false, built);
+            let response = answer(path, PROGRAM, built);
             assert_eq!(response.status(), StatusCode::NOT_FOUND, "{path}");
         }
-        assert_eq!(answer("", false, built).status(), StatusCode::OK);
+        assert_eq!(answer("", PROGRAM, built).status(), StatusCode::OK);
+    }
+
+    #[test]
+    fn a_copy_in_brotli_is_for_those_who_read_it() {
+        let encoding = |path: &str, accepted: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::ACCEPT_ENCODING, HeaderValue::from_static(accepted));
+            headers.insert(header::ACCEPT, HeaderValue::from_static("text/html"));
+            let response = answer(path, Takes::of(&headers), built);
+            let kind = response.headers()[header::CONTENT_TYPE].to_str().unwrap();
+            assert_eq!(kind, "text/x-rust", "the kind of {path} itself, not of the copy");
+            assert!(
+                response.headers().contains_key(header::VARY)
+                    == response.headers().contains_key(header::CONTENT_ENCODING)
+            );
+            response.headers().contains_key(header::CONTENT_ENCODING)
+        };
+        for accepted in ["br", "gzip, deflate, br, zstd", "gzip;q=1.0, BR;q=0.5"] {
+            assert!(encoding("assets/app-1a2b.js", accepted), "{accepted}");
+        }
+        for accepted in ["gzip", "identity", "br;q=0", "gzip, br; q=0.0", "brotli"] {
+            assert!(!encoding("assets/app-1a2b.js", accepted), "{accepted}");
+        }
+        assert!(!encoding("index.html", "br"), "there is no copy of it");
     }
 
     #[test]
     fn without_a_built_page_the_root_says_how_to_build_it() {
-        let response = answer("", false, |_| None);
+        let response = answer("", PROGRAM, |_| None);
         assert_eq!(response.status(), StatusCode::OK);
         assert!(
             response.headers()[header::CONTENT_TYPE].to_str().unwrap().starts_with("text/plain")

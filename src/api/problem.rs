@@ -178,6 +178,7 @@ impl From<app::Error> for Problem {
             Error::Busy(_) => Self::conflict("queue-full", detail),
             Error::Unprocessable { .. } => Self::key_reused(detail),
             Error::Unavailable(_) => Self::unavailable(detail),
+            Error::Refused(_) => Self::forbidden(detail),
             Error::TokenEnded => Self::unauthorized(detail),
             Error::Lost(_) => Self::lost(detail),
             Error::Internal(cause) => {

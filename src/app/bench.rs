@@ -11,11 +11,9 @@ use flip_core::domain::FieldError;
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::bench_check::{CheckKind, Repeatability, ShakeCalibration};
 use flip_core::domain::vial::Vial;
-use flip_store::audit::{AuditRecord, AuditVerification};
 use flip_store::bench::Latch;
 use flip_store::holds::Held;
 use flip_store::now;
-use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use flip_store::pan::Reservation;
 use flip_store::weighings::{Waiting, Weighing};
 use serde::{Deserialize, Serialize};
@@ -320,51 +318,6 @@ impl App {
         tx.commit().await?;
         Ok(())
     }
-
-    /// Records of the audit trail, newest first; optionally of one weighing.
-    ///
-    /// # Errors
-    /// `Invalid`
-    pub async fn audit(
-        &self,
-        weighing: Option<&str>,
-        page: PageQuery,
-    ) -> Result<Page<AuditRecord>> {
-        Ok(self.store().audit_records(weighing, page.window(LIST_LIMIT_MAX)?).await?)
-    }
-
-    /// Passes every record to `take`, oldest first; optionally of one weighing.
-    ///
-    /// # Errors
-    /// `Internal`
-    pub async fn export_audit(
-        &self,
-        weighing: Option<&str>,
-        mut take: impl FnMut(&AuditRecord),
-    ) -> Result<()> {
-        let mut after = 0;
-        loop {
-            let records = self.store().audit_after(weighing, after).await?;
-            let Some(last) = records.last() else { return Ok(()) };
-            after = last.seq;
-            records.iter().for_each(&mut take);
-        }
-    }
-
-    /// Whether the audit trail is intact and contains a hash that was kept elsewhere.
-    ///
-    /// # Errors
-    /// `Invalid`
-    pub async fn verify_audit(&self, hash: Option<&str>) -> Result<AuditVerification> {
-        let is_hash = |text: &str| {
-            text.len() == 64 && text.bytes().all(|b| matches!(b, b'0'..=b'9' | b'a'..=b'f'))
-        };
-        if hash.is_some_and(|hash| !is_hash(hash)) {
-            let advice = "must be 64 hexadecimal digits in lower case, as printed on a certificate";
-            return Err(FieldError::new("hash", advice).into());
-        }
-        Ok(self.store().verify_audit(hash).await?)
-    }
 }
 
 /// The refusal of a request made before a stop.
@@ -406,14 +359,3 @@ pub(super) fn check_person<'a>(check: &mut Check, by: &'a str, note: &str) -> &'
     }
     by
 }
-
-/// A record as a CSV line; [`AUDIT_CSV_HEADER`] is the first line.
-pub fn audit_csv(record: &AuditRecord) -> String {
-    let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
-    let weighing = record.weighing.as_deref().unwrap_or_default();
-    let body = quoted(&record.body.to_string());
-    format!("{},{},{weighing},{},{body},{}\n", record.seq, record.at, record.kind, record.hash)
-}
-
-/// Header of the audit trail as CSV.
-pub const AUDIT_CSV_HEADER: &str = "seq,at,weighing,kind,body,hash\n";

@@ -2,6 +2,8 @@
 
 use super::jobs::{corrupt, specification, stored};
 use super::judged_shakes::StoredShakes;
+use super::steepness::Steepness;
+use super::trainings::without_sets;
 use super::{App, Error, Result};
 use crate::jobs::calibrate::{CalibrationResult, Design, Method, Posterior, Settings};
 use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
@@ -95,6 +97,9 @@ pub struct Calibration {
     pub settings: serde_json::Value,
     /// Result; absent until it has succeeded.
     pub result: Option<CalibrationResult>,
+    /// Whether the simulated heaps are as steep as the measured one; absent without sets.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steepness: Option<Steepness>,
 }
 
 impl App {
@@ -187,6 +192,26 @@ impl App {
         Ok(cells)
     }
 
+    /// The refusal to weigh a powder without sets; it says if a calibration that may find some is
+    /// under way.
+    pub(super) async fn uncalibrated(
+        &self,
+        powder: &str,
+        simulator: Option<&str>,
+    ) -> Result<Error> {
+        let under_way = self.store().calibration_under_way(powder, simulator).await?;
+        let advice = match under_way {
+            Some(id) => format!(
+                "`{powder}` has no parameter set yet: its calibration `{id}` is under way; weigh when it has succeeded"
+            ),
+            None => format!(
+                "{} or POST /v1/calibrations, and weigh when it has succeeded",
+                without_sets(powder, simulator)
+            ),
+        };
+        Ok(Error::conflict("calibration_missing", advice))
+    }
+
     /// Other measurements: those of the request, else those registered.
     async fn observations_of(
         &self,
@@ -252,7 +277,7 @@ impl App {
     /// One calibration.
     pub async fn calibration(&self, id: &str) -> Result<Calibration> {
         let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Calibration);
-        calibration(row.ok_or_else(|| Error::not_found("calibration", id))?)
+        calibration(self.placed(row.ok_or_else(|| Error::not_found("calibration", id))?).await?)
     }
 
     /// Calibrations, newest first.
@@ -310,7 +335,9 @@ fn calibration(row: JobRow) -> Result<Calibration> {
     let JobSpec::Calibration(spec) = specification(&row)? else {
         return Err(corrupt("a calibration's specification"));
     };
+    let result: Option<CalibrationResult> = row.result.as_deref().map(stored).transpose()?;
     Ok(Calibration {
+        steepness: result.as_ref().and_then(|result| Steepness::of(&spec.target, result)),
         job: row.job,
         powder: spec.powder,
         target: spec.target,
@@ -318,6 +345,6 @@ fn calibration(row: JobRow) -> Result<Calibration> {
         observations: spec.observations,
         settings: serde_json::to_value(spec.settings)
             .map_err(|error| Error::Internal(error.into()))?,
-        result: row.result.as_deref().map(stored).transpose()?,
+        result,
     })
 }

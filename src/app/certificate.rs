@@ -3,25 +3,32 @@
 //! It states what was measured and where the record of it is; it claims no compliance with
 //! anything.
 
-use super::document::page;
-use super::{App, Error, Result, WeighingDetail};
-use flip_core::domain::weighing::{MeasuredMass, Outcome};
-use flip_store::audit::AuditRecord;
-use flip_store::weighings::Weighing;
-use maud::{Markup, html};
+mod curve;
+mod list;
+mod rows;
+mod words;
 
-const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:46rem;padding:0 1rem;color:#111;background:#fff}\
-h1{font-size:1.4rem;margin:0}h2{font-size:1rem;margin:1.6rem 0 .3rem}table{border-collapse:collapse;width:100%}\
-th,td{text-align:left;padding:.25rem .6rem .25rem 0;border-bottom:1px solid #ddd;vertical-align:top}th{font-weight:500;width:42%}\
-.big{font-size:1.9rem;margin:.6rem 0}.warn{border-left:4px solid #b00;padding:.3rem .8rem;margin:.8rem 0}\
-code{font-size:.8rem;word-break:break-all}footer{margin-top:2rem;font-size:.8rem;color:#555}@media print{body{margin:0}}";
+use super::document::page;
+use super::{App, AuditAsked, Error, Result, WeighingDetail};
+use curve::curve;
+use flip_store::audit::AuditRecord;
+use flip_store::page::{LIST_LIMIT_MAX, PageQuery};
+use flip_store::weighing_search::{WeighingSort, WeighingsWanted};
+use flip_store::weighings::Weighing;
+use list::certificate_of_all;
+use maud::{Markup, html};
+use rows::{asked, measured, provenance};
+use words::{not_real, result, warnings};
+
+const STYLE: &str = include_str!("certificate/style.css");
 
 impl App {
-    /// The certificate of a weighing that has ended.
+    /// The certificate of a weighing that has ended, with the name of a laboratory; `None`: that of
+    /// the service, or a line to write it on.
     ///
     /// # Errors
     /// `NotFound`; `Conflict` (`weighing_unfinished`, or `not_a_dose` for a probing run).
-    pub async fn certificate(&self, id: &str) -> Result<String> {
+    pub async fn certificate(&self, id: &str, laboratory: Option<&str>) -> Result<String> {
         let mut detail = self.weighing(id).await?;
         if detail.weighing.outcome.is_none() {
             let advice =
@@ -42,8 +49,49 @@ impl App {
             Some(said) => detail.weighing = said,
             None => record.unrecorded = true,
         }
-        self.export_audit(Some(id), |it| record.add(it)).await?;
-        Ok(certificate(&detail, &record))
+        self.export_audit(AuditAsked::of(id), |it| record.add(it)).await?;
+        Ok(certificate(&detail, &record, laboratory.or(self.laboratory())))
+    }
+
+    /// The certificate of all doses of a list, which have ended.
+    ///
+    /// # Errors
+    /// `NotFound`; `Conflict` (`weighing_unfinished`, `record_differs`).
+    pub async fn list_certificate(&self, name: &str) -> Result<String> {
+        let wanted = WeighingsWanted {
+            list: Some(name.to_owned()),
+            sort: WeighingSort::Oldest,
+            ..WeighingsWanted::default()
+        };
+        let (mut found, mut page) = (Vec::new(), PageQuery::first(LIST_LIMIT_MAX).with_archived());
+        loop {
+            let window = page.window(LIST_LIMIT_MAX)?;
+            let part = self.store().weighings_wanted(&wanted, window).await?.page;
+            found.extend(part.items);
+            let Some(next) = part.next else { break };
+            page =
+                PageQuery { after: Some(next), ..PageQuery::first(LIST_LIMIT_MAX).with_archived() };
+        }
+        if found.is_empty() {
+            return Err(Error::not_found("list of doses", name));
+        }
+        let open = found.iter().filter(|weighing| weighing.outcome.is_none()).count();
+        if open > 0 {
+            let advice = format!(
+                "{open} of the {} doses of `{name}` have not ended: the certificate can be printed once they have",
+                found.len()
+            );
+            return Err(Error::conflict("weighing_unfinished", advice));
+        }
+        let mut doses = Vec::new();
+        for row in found {
+            let mut record = Recorded::default();
+            let said = self.outcome_on_record(&row.id).await?;
+            record.unrecorded = said.is_none();
+            self.export_audit(AuditAsked::of(&row.id), |it| record.add(it)).await?;
+            doses.push((said.unwrap_or(row), record));
+        }
+        Ok(certificate_of_all(name, &doses, self.laboratory()))
     }
 
     /// The recorded outcome of a weighing that has ended; `None` for weighings that predate the
@@ -71,6 +119,8 @@ struct Recorded {
     last: Option<AuditRecord>,
     /// The requester, by token.
     asked_by: Option<String>,
+    /// Who stopped it, and when.
+    stopped: Option<String>,
     /// It ended before there was an audit trail.
     unrecorded: bool,
     /// Errors in archives that held some of the records.
@@ -86,11 +136,11 @@ impl Recorded {
         self.records += 1;
         self.last = Some(record.clone());
         if record.kind == "intent" {
-            let text = |field: &str| record.body["who"][field].as_str();
-            self.asked_by = text("name").map(|name| match text("role") {
-                Some(role) => format!("{name} ({role})"),
-                None => name.to_owned(),
-            });
+            self.asked_by = who(record);
+        }
+        if is_stop(record) && self.stopped.is_none() {
+            let by = who(record).unwrap_or_else(|| "a person not known".to_owned());
+            self.stopped = Some(format!("{by}, {}", record.at));
         }
     }
 
@@ -107,50 +157,94 @@ impl Recorded {
     }
 }
 
+/// The person behind a record, by name and role.
+fn who(record: &AuditRecord) -> Option<String> {
+    let text = |field: &str| record.body["who"][field].as_str();
+    text("name").map(|name| match text("role") {
+        Some(role) => format!("{name} ({role})"),
+        None => name.to_owned(),
+    })
+}
+
+fn is_stop(record: &AuditRecord) -> bool {
+    record.kind == "person" && record.body["action"] == "stop"
+}
+
 /// The page; the same weighing always gives the same bytes.
-fn certificate(detail: &WeighingDetail, record: &Recorded) -> String {
+fn certificate(detail: &WeighingDetail, record: &Recorded, laboratory: Option<&str>) -> String {
     let weighing = &detail.weighing;
+    let not_real = not_real(weighing.bench);
+    let mut results = measured(weighing);
+    results.extend(record.stopped.iter().map(|by| ("Stopped by", by.clone())));
     let body = html! {
-        h1 { "Weighing certificate" }
-        p.big { (result(weighing)) }
-        @for warning in all_warnings(detail, record) { p.warn { (warning) } }
-        (section("Request", &asked(weighing)))
-        (section("Result", &measured(weighing)))
-        (section("Provenance", &provenance(weighing)))
-        (section("Record", &record.rows()))
-        footer {
-            "Made by FLIP " (env!("CARGO_PKG_VERSION")) ". It states what was measured and recorded; "
-            "it does not claim compliance with any regulation. "
-            "`flip audit verify --hash HASH` checks the record."
+        @if let Some((word, _)) = not_real { (mark(word)) }
+        main {
+            h1 { "Weighing certificate" }
+            (heading(laboratory))
+            p.big { (result(weighing)) }
+            @if let Some((_, sentence)) = not_real { p.warn { (sentence) } }
+            @for warning in all_warnings(detail, record) { p.warn { (warning) } }
+            (section("Request", &asked(weighing)))
+            (section("Result", &results))
+            div.whole {
+                h2 { "Mass over time" }
+                @match curve(weighing, &detail.ticks) {
+                    Some(curve) => (curve),
+                    None => p { "No course is on record: the bench did not move, or the file with it is lost." },
+                }
+            }
+            (section("Provenance", &provenance(weighing)))
+            (section("Record", &record.rows()))
+            (signatures(weighing.asked.operator.as_deref()))
+            (footer(""))
         }
     };
     page(&format!("Weighing {} · FLIP", weighing.id), STYLE, None, &body)
 }
 
-fn section(title: &str, rows: &[(&str, String)]) -> Markup {
+/// A word across every sheet.
+fn mark(word: &str) -> Markup {
+    html! { div.mark aria-hidden="true" { span { (word) } } }
+}
+
+fn heading(laboratory: Option<&str>) -> Markup {
+    html! { @if let Some(name) = laboratory { p.lab { (name) } } }
+}
+
+/// Where the people who answer for it sign.
+fn signatures(operator: Option<&str>) -> Markup {
     html! {
-        @if !rows.is_empty() {
-            h2 { (title) }
-            table { @for (name, value) in rows { tr { th scope="row" { (name) } td { (value) } } } }
+        div.whole {
+            h2 { "Signatures" }
+            table.signed {
+                thead { tr { @for title in ["Role", "Name", "Signature", "Date"] { th scope="col" { (title) } } } }
+                tbody {
+                    tr { th scope="row" { "Operator" } td { (operator.unwrap_or_default()) } td {} td {} }
+                    tr { th scope="row" { "Reviewer" } td {} td {} td {} }
+                }
+            }
         }
     }
 }
 
-/// The net mass with its uncertainty, or a statement that there is none.
-fn result(weighing: &Weighing) -> String {
-    let powder = &weighing.powder;
-    match (&weighing.measured, weighing.reading_mg) {
-        (Some(measured), _) => {
-            format!(
-                "{} mg ± {} mg of {powder}",
-                digits(measured.net_mg),
-                digits(measured.uncertainty_mg)
-            )
+fn footer(more: &str) -> Markup {
+    html! {
+        footer {
+            "Made by FLIP " (env!("CARGO_PKG_VERSION")) ". It states what was measured and recorded; "
+            "it does not claim compliance with any regulation. "
+            "`flip audit verify --hash HASH` checks the record" (more) "."
         }
-        (None, Some(reading_mg)) => {
-            format!("{} mg of {powder}, by the final reading", digits(reading_mg))
+    }
+}
+
+fn section(title: &str, rows: &[(&str, String)]) -> Markup {
+    html! {
+        @if !rows.is_empty() {
+            div.whole {
+                h2 { (title) }
+                table { tbody { @for (name, value) in rows { tr { th scope="row" { (name) } td { (value) } } } } }
+            }
         }
-        (None, None) => format!("no mass of {powder} was measured"),
     }
 }
 
@@ -167,160 +261,12 @@ fn all_warnings(detail: &WeighingDetail, record: &Recorded) -> Vec<String> {
     all
 }
 
-/// Warnings about the dose.
-fn warnings(weighing: &Weighing) -> Vec<String> {
-    let mut all = Vec::new();
-    let told = |outcome: Outcome| match outcome {
-        Outcome::Within | Outcome::Probed => None,
-        Outcome::Under => Some("The dose is below the target by more than the tolerance."),
-        Outcome::Over => Some("The dose is above the target by more than the tolerance."),
-        Outcome::NotStable => Some("The balance did not settle: do not rely on the mass."),
-        Outcome::Blocked => Some("No more powder left the spoon."),
-        Outcome::Stopped => Some("The weighing was stopped."),
-        Outcome::Aborted => Some("The weighing was aborted."),
-        Outcome::Unknown => {
-            Some("The process ended during the weighing: the content of the vial is not known.")
-        }
-    };
-    all.extend(weighing.outcome.and_then(told).map(str::to_owned));
-    all.extend(weighing.error.clone());
-    if let Some(measured) = &weighing.measured {
-        if measured.proven == Some(false) {
-            all.push(format!(
-                "Not proven: with its uncertainty of {} mg, the net mass may lie on either side of a tolerance limit.",
-                digits(measured.uncertainty_mg)
-            ));
-        }
-        match (measured.below_minimum_weight, measured.minimum_mg) {
-            (Some(true), Some(minimum)) => all.push(format!(
-                "Below the minimum weight of this balance, {} mg at the required accuracy: not accurately weighed in the sense of USP <41>.",
-                digits(minimum)
-            )),
-            (None, _) => all.push("The balance's repeatability was not checked, so its minimum weight is not known.".to_owned()),
-            _ => {}
-        }
-        if !(measured.stable_by_balance && measured.stable_by_window) {
-            all.push(
-                "The last reading was not stable by both the balance's flag and FLIP's own window."
-                    .to_owned(),
-            );
-        }
-    }
-    all
-}
-
-fn asked(weighing: &Weighing) -> Vec<(&'static str, String)> {
-    let mut rows = vec![
-        ("Powder", weighing.powder.clone()),
-        ("Target", format!("{} mg", digits(weighing.target_mg))),
-        (
-            "Tolerance",
-            format!(
-                "-{} / +{} mg",
-                digits(weighing.tolerance_lower_mg),
-                digits(weighing.tolerance_upper_mg)
-            ),
-        ),
-    ];
-    let asked = &weighing.asked;
-    let mut more = |name, value: Option<String>| rows.extend(value.map(|value| (name, value)));
-    more("Lot", asked.lot.clone());
-    more("Vial", asked.vial.clone());
-    more("Requested by", asked.operator.clone());
-    more("Temperature", asked.temperature_c.map(|c| format!("{c} °C")));
-    more("Relative humidity", asked.relative_humidity_pct.map(|pct| format!("{pct} %")));
-    more("Required accuracy", asked.accuracy_pct.map(|pct| format!("{pct} %")));
-    rows
-}
-
-fn measured(weighing: &Weighing) -> Vec<(&'static str, String)> {
-    let mut rows = vec![("Outcome", outcome(weighing))];
-    let Some(it) = &weighing.measured else { return rows };
-    let mg = |value: Option<f64>| {
-        value.map_or_else(
-            || "not reported by the balance".to_owned(),
-            |mg| format!("{} mg", digits(mg)),
-        )
-    };
-    rows.extend([
-        ("Gross", mg(it.gross_mg)),
-        ("Tare", mg(it.tare_mg)),
-        ("Zero after the tare", mg(it.zero_mg)),
-        ("Net", format!("{} mg", digits(it.net_mg))),
-        ("Expanded uncertainty (k = 2)", format!("{} mg", digits(it.uncertainty_mg))),
-        (
-            "Minimum weight",
-            it.minimum_mg.map_or_else(
-                || "not known: no repeatability check".to_owned(),
-                |mg| format!("{} mg", digits(mg)),
-            ),
-        ),
-        (
-            "Stable by the balance / by FLIP's window",
-            format!("{} / {}", yes(it.stable_by_balance), yes(it.stable_by_window)),
-        ),
-    ]);
-    rows.extend(
-        weighing.error_mg.map(|mg| ("Error (net minus target)", format!("{} mg", digits(mg)))),
-    );
-    rows.extend(drift(it));
-    rows.extend(weighing.shakes.map(|n| ("Shakes", n.to_string())));
-    rows.extend(weighing.seconds.map(|s| ("Time on the bench", format!("{s:.1} s"))));
-    let thrown = it.discarded_mg.iter().map(|mg| digits(*mg)).collect::<Vec<_>>().join(", ");
-    rows.extend((!thrown.is_empty()).then_some(("Discarded before, mg", thrown)));
-    rows
-}
-
-fn drift(it: &MeasuredMass) -> Option<(&'static str, String)> {
-    let (before, after) = (it.drift_before_mg_min?, it.drift_after_mg_min?);
-    Some(("Drift before / after", format!("{} / {} mg/min", digits(before), digits(after))))
-}
-
-fn provenance(weighing: &Weighing) -> Vec<(&'static str, String)> {
-    let mut rows = vec![("Weighing", weighing.id.clone()), ("Policy", weighing.policy.clone())];
-    rows.push((
-        "Simulator",
-        weighing.under.as_ref().map_or_else(|| "base".to_owned(), |under| under.simulator.clone()),
-    ));
-    if let Some(measured) = &weighing.measured {
-        let named = |(role, name): (&String, &String)| format!("{role}: {name}");
-        rows.push(("Devices", measured.devices.iter().map(named).collect::<Vec<_>>().join("; ")));
-    }
-    rows.push(("Request recorded", weighing.created_at.to_string()));
-    rows.extend(weighing.started_at.map(|at| ("Armed", at.to_string())));
-    rows.extend(weighing.finished_at.map(|at| ("Ended", at.to_string())));
-    rows
-}
-
-fn word(outcome: Outcome) -> String {
-    serde_json::to_value(outcome)
-        .ok()
-        .and_then(|value| value.as_str().map(|word| word.replace('_', " ")))
-        .unwrap_or_default()
-}
-
-/// The outcome, and whether it is proven.
-fn outcome(weighing: &Weighing) -> String {
-    let outcome = weighing.outcome.map(word).unwrap_or_default();
-    let is_proven = weighing.measured.as_ref().and_then(|measured| measured.proven);
-    if is_proven == Some(false) { format!("{outcome}, not proven") } else { outcome }
-}
-
-fn yes(is: bool) -> &'static str {
-    if is { "yes" } else { "no" }
-}
-
-/// Rounded to a hundredth, without trailing zeros.
-fn digits(value: f64) -> String {
-    let text = format!("{value:.2}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" { "0".to_owned() } else { text.to_owned() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::document::hostile::assert_inert;
     use super::*;
+    use flip_core::domain::bench::{Action, Reading, Tick};
+    use flip_core::domain::timestamp::Timestamp;
     use serde_json::{Value, json};
 
     fn page(weighing: Value) -> String {
@@ -338,8 +284,17 @@ mod tests {
         };
         all_fields.extend(fields);
         let weighing = serde_json::from_value(all).unwrap();
-        let detail = WeighingDetail { weighing, ticks: Vec::new(), trace_lost: None };
-        certificate(&detail, record)
+        let ticks = [0.0, 4.0, 9.3].iter().enumerate().map(|(k, mass_mg)| Tick {
+            step: k as u32,
+            t_s: 8.0 * k as f64,
+            pitch_deg: 10.0,
+            action: Action::once(0.0, 2.0),
+            reading: Reading { mass_mg: *mass_mg, stable: true },
+            spoonful: 1,
+        });
+        let detail =
+            WeighingDetail { weighing, ticks: ticks.collect(), trace_lost: None, stopped: None };
+        certificate(&detail, record, Some("Lab 7"))
     }
 
     fn measured(proven: bool) -> Value {
@@ -376,6 +331,7 @@ mod tests {
             }
             let record = Recorded {
                 asked_by: Some(name.to_owned()),
+                stopped: Some(name.to_owned()),
                 lost: vec![name.to_owned()],
                 ..Recorded::default()
             };
@@ -392,6 +348,46 @@ mod tests {
             page.contains("no mass of salt was measured")
                 && page.contains(cause)
                 && !page.contains("0 mg of salt"),
+            "{page}"
+        );
+    }
+
+    #[test]
+    fn what_is_not_real_is_marked_on_every_sheet_and_said_in_a_sentence() {
+        for (bench, word) in [("simulated", "Simulated"), ("emulated", "Emulated")] {
+            let page = page(json!({ "bench": bench }));
+            assert!(page.contains(&format!("<span>{word}</span>")), "{page}");
+            assert!(page.contains(&format!("{word}: no real powder was weighed")), "{page}");
+        }
+        let real = page(json!({ "bench": "devices" }));
+        assert!(!real.contains("no real powder") && !real.contains("class=\"mark\""), "{real}");
+    }
+
+    #[test]
+    fn a_certificate_has_a_laboratory_a_curve_and_room_for_two_signatures() {
+        let page = page(json!({ "asked": { "operator": "Ada" } }));
+        assert!(page.contains("<p class=\"lab\">Lab 7</p>"), "{page}");
+        assert!(page.contains("Balance readings from 0 mg to 9.3 mg in 16 s"), "{page}");
+        assert!(page.contains("<th scope=\"row\">Operator</th><td>Ada</td>"), "{page}");
+        assert!(page.contains("<th scope=\"row\">Reviewer</th>"), "{page}");
+    }
+
+    #[test]
+    fn the_first_stop_of_a_dose_is_on_its_certificate_with_the_person() {
+        let stop = |name: &str, ms| AuditRecord {
+            seq: ms,
+            at: Timestamp::from_unix_ms(ms),
+            weighing: Some("w".to_owned()),
+            kind: "person".to_owned(),
+            body: json!({ "action": "stop", "who": { "name": name, "role": "operator" } }),
+            hash: String::new(),
+        };
+        let mut record = Recorded::default();
+        record.add(&stop("Ada", 1000));
+        record.add(&stop("Bob", 2000));
+        let page = page_of(json!({}), &record);
+        assert!(
+            page.contains("Ada (operator), 1970-01-01T00:00:01Z") && !page.contains("Bob"),
             "{page}"
         );
     }

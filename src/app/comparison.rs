@@ -106,7 +106,7 @@ fn side(calibration: Calibration) -> Result<ComparedCalibration> {
     let method = settings.get("method").cloned().unwrap_or_default();
     let sets = &result.sets;
     let errors: Vec<f64> = sets.iter().filter_map(|set| set.verified_error_deg).collect();
-    let angles: Vec<f64> = sets.iter().map(|set| set.repose_deg).collect();
+    let (repose_deg, standard_error_deg) = mean_angle(sets);
     Ok(ComparedCalibration {
         id: job.id,
         powder,
@@ -117,11 +117,17 @@ fn side(calibration: Calibration) -> Result<ComparedCalibration> {
         sets: sets.len() as u32,
         verified_error_deg: result.verified_error_deg,
         verified_sd_deg: (errors.len() > 1).then(|| mean_and_sd(&errors).1),
-        repose_deg: (!angles.is_empty()).then(|| mean_and_sd(&angles).0),
-        standard_error_deg: standard_error_deg(sets),
+        repose_deg,
+        standard_error_deg,
         parameters: spreads(sets),
         emulator: result.emulator,
     })
+}
+
+/// The mean simulated angle over the sets, and its standard error.
+pub(super) fn mean_angle(sets: &[CalibrationSet]) -> (Option<f64>, Option<f64>) {
+    let angles: Vec<f64> = sets.iter().map(|set| set.repose_deg).collect();
+    ((!angles.is_empty()).then(|| mean_and_sd(&angles).0), standard_error_deg(sets))
 }
 
 /// Standard error of the mean angle over the sets, each of which is the mean of its own runs.

@@ -1,6 +1,7 @@
 //! The simulator version used where none is named. Versions never change: rolling back means
 //! choosing another.
 
+use super::check::Check;
 use super::{App, Result};
 use crate::jobs::SIMULATOR;
 use flip_core::domain::FieldError;
@@ -23,6 +24,8 @@ pub struct CurrentSimulator {
     pub base: String,
     /// When it was chosen; absent if none was ever chosen and the base is current.
     pub chosen_at: Option<Timestamp>,
+    /// Why it was chosen, if anyone said so.
+    pub reason: Option<String>,
     /// The previously current version, which can be chosen again; absent if none was ever chosen.
     pub before: Option<String>,
 }
@@ -33,6 +36,9 @@ pub struct CurrentSimulator {
 pub struct ChosenSimulator {
     /// `base`, or a version, `sv-…`.
     pub simulator: String,
+    /// Why, for the record: 1 to 500 characters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
 }
 
 impl App {
@@ -45,6 +51,7 @@ impl App {
             simulator: newest.map_or_else(|| BASE.to_owned(), name),
             base: SIMULATOR.to_owned(),
             chosen_at: newest.map(|newest| newest.chosen_at),
+            reason: newest.and_then(|newest| newest.reason.clone()),
             before: newest.map(|_| choices.get(1).map_or_else(|| BASE.to_owned(), name)),
         })
     }
@@ -52,7 +59,7 @@ impl App {
     /// Makes a version, or the base, current. Choosing the current one again changes nothing.
     ///
     /// # Errors
-    /// `Invalid`: no such version; `Unavailable` if the data folder was opened read-only.
+    /// `Invalid`: no such version, the reason; `Unavailable` if the data folder was opened read-only.
     pub async fn choose_simulator(&self, chosen: &ChosenSimulator) -> Result<CurrentSimulator> {
         let version = (chosen.simulator != BASE).then_some(chosen.simulator.as_str());
         if let Some(id) = version.filter(|id| *id != SIMULATOR)
@@ -63,8 +70,14 @@ impl App {
             );
             return Err(FieldError::new("simulator", advice).into());
         }
+        let mut check = Check::default();
+        if let Some(reason) = &chosen.reason {
+            check.text("reason", reason, 500);
+        }
+        check.done()?;
         let mut tx = self.store().write().await?;
-        tx.choose_simulator(version.filter(|id| *id != SIMULATOR)).await?;
+        let version = version.filter(|id| *id != SIMULATOR);
+        tx.choose_simulator(version, chosen.reason.as_deref()).await?;
         tx.commit().await?;
         self.current_simulator().await
     }

@@ -22,7 +22,7 @@ pub enum Error {
     Conflict {
         /// Stable name: `powder_exists`, `measurement_missing`, `calibration_missing`,
         /// `calibration_unfinished`, `investigation_unfinished`, `job_finished`,
-        /// `weighing_finished`.
+        /// `weighing_finished`, `log_in_not_set_up`.
         code: &'static str,
         /// What prevents it and which command or endpoint helps.
         message: String,
@@ -44,6 +44,9 @@ pub enum Error {
     /// by another program, the disk full.
     #[error("{0}")]
     Unavailable(String),
+    /// A log-in that is not accepted: why, and what to do.
+    #[error("{0}")]
+    Refused(String),
     /// The token used for the request has expired or was revoked meanwhile.
     #[error("the token has expired or was revoked")]
     TokenEnded,

@@ -204,7 +204,7 @@ impl App {
     /// One evaluation.
     pub async fn evaluation(&self, id: &str) -> Result<Evaluation> {
         let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Evaluation);
-        evaluation(row.ok_or_else(|| Error::not_found("evaluation", id))?)
+        evaluation(self.placed(row.ok_or_else(|| Error::not_found("evaluation", id))?).await?)
     }
 
     /// Evaluations, newest first.

@@ -236,7 +236,7 @@ impl App {
     /// One investigation.
     pub async fn investigation(&self, id: &str) -> Result<Investigation> {
         let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Investigation);
-        let row = row.ok_or_else(|| Error::not_found("investigation", id))?;
+        let row = self.placed(row.ok_or_else(|| Error::not_found("investigation", id))?).await?;
         let report = row.result.as_deref().map(stored).transpose()?;
         Ok(Investigation { report, ..without_report(row)? })
     }

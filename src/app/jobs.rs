@@ -1,7 +1,7 @@
 //! Jobs of every kind.
 
 use super::{App, Error, Result};
-use crate::jobs::JobSpec;
+use crate::jobs::{JobSpec, SIMULATOR, lane_of};
 use flip_core::domain::job::{JobKind, JobState};
 use flip_store as store;
 use flip_store::jobs::{Job, JobRow};
@@ -16,13 +16,72 @@ impl App {
         state: Option<JobState>,
         page: PageQuery,
     ) -> Result<Page<Job>> {
-        Ok(self.store().jobs(kind, state, page.window(LIST_LIMIT_MAX)?).await?)
+        let mut found = self.store().jobs(kind, state, page.window(LIST_LIMIT_MAX)?).await?;
+        self.place(found.items.iter_mut().collect()).await?;
+        Ok(found)
     }
 
     /// One job.
     pub async fn job(&self, id: &str) -> Result<Job> {
         let row = self.store().job(id).await?.ok_or_else(|| Error::not_found("job", id))?;
-        Ok(row.job)
+        Ok(self.placed(row).await?.job)
+    }
+
+    /// Starts a failed or cancelled job again: the same inputs, a new job that names the old one.
+    /// `false`: an equal job was requested meanwhile, and this is it.
+    ///
+    /// # Errors
+    /// `Conflict`: `job_not_over` if it has not ended that way, `simulator_changed`; those of the
+    /// bench for a measurement by camera.
+    pub async fn start_again(&self, id: &str) -> Result<(Job, bool)> {
+        let jobs = self.jobs_or_refuse()?;
+        let row = self.store().job(id).await?.ok_or_else(|| Error::not_found("job", id))?;
+        if !matches!(row.job.state, JobState::Failed | JobState::Cancelled) {
+            let advice = match row.job.state {
+                JobState::Succeeded => format!(
+                    "job {id} has succeeded, and the same inputs give the same result: change an input and request it anew"
+                ),
+                state => format!("job {id} is {}: cancel it first", word(state)),
+            };
+            return Err(Error::conflict("job_not_over", advice));
+        }
+        let spec = specification(&row)?;
+        if let Some(old) = spec.simulator().filter(|old| *old != SIMULATOR) {
+            let advice = format!(
+                "job {id} is of simulator {old}, and this is {SIMULATOR}: request it anew, with the same settings"
+            );
+            return Err(Error::conflict("simulator_changed", advice));
+        }
+        match spec {
+            JobSpec::Repose(_) => self.repose_again(&spec, id).await,
+            _ => Ok(jobs.enqueue_again(&spec, id).await?),
+        }
+    }
+
+    /// The row of a job, with its place in the queue.
+    pub(super) async fn placed(&self, mut row: JobRow) -> Result<JobRow> {
+        self.place(vec![&mut row.job]).await?;
+        Ok(row)
+    }
+
+    /// Notes which place those that wait have among the jobs of their lane, and how long jobs like
+    /// them took.
+    async fn place(&self, mut jobs: Vec<&mut Job>) -> Result<()> {
+        jobs.retain(|job| job.state == JobState::Queued);
+        if jobs.is_empty() {
+            return Ok(());
+        }
+        let queue = self.store().waiting_jobs().await?;
+        let times = self.job_times().await?;
+        for job in jobs {
+            let lane = queue.iter().filter(|(_, it)| lane_of(it.kind) == lane_of(job.kind));
+            let ahead = lane.take_while(|(id, _)| *id != job.id).count();
+            job.place = Some(ahead as u32 + 1);
+            let sort = queue.iter().find(|(id, _)| *id == job.id).map(|(_, sort)| sort);
+            job.expected_s =
+                sort.and_then(|sort| Some(times.iter().find(|it| it.sort == *sort)?.median_s));
+        }
+        Ok(())
     }
 
     /// Cancels a job: at once if it is waiting, at its next step if it is running. `Conflict` if it
@@ -44,7 +103,8 @@ impl App {
         page: PageQuery,
         item: impl Fn(JobRow) -> Result<T>,
     ) -> Result<Page<T>> {
-        let rows = self.store().whole_jobs(kind, page.window(LIST_LIMIT_MAX)?).await?;
+        let mut rows = self.store().whole_jobs(kind, page.window(LIST_LIMIT_MAX)?).await?;
+        self.place(rows.items.iter_mut().map(|row| &mut row.job).collect()).await?;
         let items: Result<Vec<T>> = rows.items.into_iter().map(item).collect();
         Ok(Page { items: items?, next: rows.next })
     }

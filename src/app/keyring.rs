@@ -32,6 +32,10 @@ pub struct Holder {
     pub role: Role,
     /// Whether the holder may clear a latched bench.
     pub may_clear: bool,
+    /// When the token expires; never if absent.
+    pub expires_at: Option<Timestamp>,
+    /// Provider that the holder logged in with; absent for a token that somebody created.
+    pub issuer: Option<String>,
 }
 
 /// All tokens by id.
@@ -138,7 +142,14 @@ impl Keyring {
         key.used_ms.fetch_max(at.unix_ms(), Ordering::Relaxed);
         let entry = &key.token.entry;
         let may_clear = entry.may_clear || entry.role == Role::Admin;
-        Some(Holder { id: entry.id.clone(), name: entry.name.clone(), role: entry.role, may_clear })
+        Some(Holder {
+            id: entry.id.clone(),
+            name: entry.name.clone(),
+            role: entry.role,
+            may_clear,
+            expires_at: entry.expires_at,
+            issuer: entry.issuer.clone(),
+        })
     }
 
     /// Uses that are not stored yet.
@@ -188,6 +199,8 @@ mod tests {
             expires_at: None,
             revoked_at: None,
             last_used_at: None,
+            issuer: None,
+            subject: None,
         };
         change(&mut entry);
         let ring = Keyring::default();

@@ -2,8 +2,7 @@
 //! occupies a reader or fills memory throughout.
 
 use super::measurement_csv;
-use super::{App, Error, Result};
-use flip_store::audit::AuditRecord;
+use super::{App, Result};
 use futures::StreamExt;
 use futures::stream::{self, BoxStream};
 
@@ -15,31 +14,6 @@ enum Next {
 }
 
 impl App {
-    /// The audit trail, oldest first; optionally of one weighing. The first batch may be empty, no
-    /// other is.
-    pub fn audit_trail(
-        &self,
-        weighing: Option<String>,
-    ) -> BoxStream<'static, Result<Vec<AuditRecord>>> {
-        let app = self.clone();
-        let next = move |after: Option<i64>| {
-            let (app, weighing) = (app.clone(), weighing.clone());
-            async move { app.trail_after(weighing.as_deref(), after?).await }
-        };
-        stream::unfold(Some(0), next).boxed()
-    }
-
-    /// One batch, and where the next one starts.
-    async fn trail_after(
-        &self,
-        weighing: Option<&str>,
-        after: i64,
-    ) -> Option<(Result<Vec<AuditRecord>>, Option<i64>)> {
-        let records = self.store().audit_after(weighing, after).await.map_err(Error::from);
-        let last = records.as_ref().ok().and_then(|records| records.last()).map(|last| last.seq);
-        (after == 0 || last.is_some() || records.is_err()).then_some((records, last))
-    }
-
     /// All measurements, as a file that [`App::import_measurements`] reads; optionally of one
     /// powder.
     ///

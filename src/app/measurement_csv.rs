@@ -2,10 +2,11 @@
 //! an empty cell for anything not measured.
 //!
 //! A row with `n` is a summary (mean, SD, n). Rows without it are single repeats; those of one
-//! powder, method, source and experiment are combined into one measurement at the position of the
+//! powder, method, source, day and experiment are combined into one measurement at the position of the
 //! first of them. [`read`] reads the output of [`write()`].
 
 use super::check::Check;
+use super::csv_file::date::day_of;
 use super::csv_file::words;
 use super::csv_file::{Cells, Columns, Holds, REFUSALS_MAX, Refused, Table, at};
 use super::nearest::did_you_mean;
@@ -15,11 +16,11 @@ use flip_core::domain::FieldError;
 use flip_core::domain::observable::{Observable, Observation, SD_MIN};
 use flip_core::domain::powder::{Flowability, HeapReadings, Method, mean_and_sd};
 use flip_store::observations::PowderObservation;
-use flip_store::powders::Measurement;
+use flip_store::powders::{Measurement, Origin};
 use std::collections::HashMap;
 
 /// All columns, in the order of an export.
-const COLUMNS: [&str; 22] = [
+const COLUMNS: [&str; 23] = [
     "powder",
     "method",
     "repose_deg",
@@ -42,6 +43,7 @@ const COLUMNS: [&str; 22] = [
     "pile_height_sd_mm",
     "fall_mm",
     "source",
+    "date",
 ];
 
 /// A measured quantity: the columns of its value, its SD and its settings.
@@ -90,7 +92,7 @@ pub(super) struct Entry {
     /// Row number in the file, the header being row 1.
     pub row: usize,
     pub powder: String,
-    pub source: String,
+    pub origin: Origin,
     pub value: Value,
 }
 
@@ -113,7 +115,7 @@ struct Group {
     row: usize,
     column: &'static str,
     powder: String,
-    source: String,
+    origin: Origin,
     subject: Subject,
     /// Values of single repeats.
     repeats: Vec<f64>,
@@ -144,7 +146,7 @@ pub(super) fn read(text: &str) -> Result<(Vec<Entry>, PowderNames)> {
 
 fn known(name: &str) -> Option<Holds> {
     match name {
-        "powder" | "method" | "source" => Some(Holds::Text),
+        "powder" | "method" | "source" | "date" => Some(Holds::Text),
         _ => COLUMNS.contains(&name).then_some(Holds::Numbers),
     }
 }
@@ -184,6 +186,12 @@ impl Row<'_> {
         });
         let source = self.cells.written("source");
         check.source(&format!("row[{row}].source"), source);
+        let day = |text| day_of(text).map_err(|why| at(row, "date", why));
+        let measured_on = match self.cells.text("date") {
+            "" => None,
+            text => check.keep(day(text)),
+        };
+        let origin = Origin { source: source.to_owned(), measured_on };
         let n = check.keep(self.cells.repeats("n")).flatten();
         let given: Vec<&Quantity> =
             QUANTITIES.iter().filter(|q| self.cells.holds(q.value)).collect();
@@ -195,7 +203,7 @@ impl Row<'_> {
         check.refusals()?;
         let powder = powder.unwrap_or_default();
         for (column, subject, value) in found {
-            groups.add(row, column, &powder, source, subject, value);
+            groups.add(row, column, &powder, &origin, subject, value);
         }
         Ok(())
     }
@@ -351,7 +359,7 @@ impl Groups {
         row: usize,
         column: &'static str,
         powder: &str,
-        source: &str,
+        origin: &Origin,
         subject: Subject,
         measured: Measured,
     ) {
@@ -359,7 +367,7 @@ impl Groups {
             row,
             column,
             powder: powder.to_owned(),
-            source: source.to_owned(),
+            origin: origin.clone(),
             subject,
             repeats,
             summary,
@@ -367,10 +375,10 @@ impl Groups {
         match measured {
             Measured::Summary(value) => self.list.push(group(Vec::new(), Some(value))),
             Measured::Repeat(value) => {
-                // Different values print differently, and no id or source contains a line break.
+                // Different values print differently, and no id contains a line break.
                 let place = *self
                     .places
-                    .entry(format!("{powder}\n{source}\n{subject:?}"))
+                    .entry(format!("{powder}\n{origin:?}\n{subject:?}"))
                     .or_insert(self.list.len());
                 match self.list.get_mut(place) {
                     Some(known) => known.repeats.push(value),
@@ -384,7 +392,7 @@ impl Groups {
 impl Group {
     /// The measurement formed by its repeats.
     fn entry(self) -> std::result::Result<Entry, FieldError> {
-        let Self { row, column, powder, source, subject, repeats, summary } = self;
+        let Self { row, column, powder, origin, subject, repeats, summary } = self;
         let renamed = |error: FieldError| {
             at(
                 row,
@@ -407,7 +415,7 @@ impl Group {
                 Value::Observed(observation.checked().map_err(renamed)?)
             }
         };
-        Ok(Entry { row, powder, source, value })
+        Ok(Entry { row, powder, origin, value })
     }
 }
 
@@ -423,6 +431,7 @@ pub(super) fn write(measurements: &[Measurement], observations: &[PowderObservat
             ("repose_sd_deg", if m.sd_unknown { String::new() } else { m.sd_deg.to_string() }),
             ("n", m.n.to_string()),
             ("source", m.source.clone()),
+            ("date", m.measured_on.clone().unwrap_or_default()),
         ]
     };
     let observed = |o: &PowderObservation| {
@@ -440,6 +449,7 @@ pub(super) fn write(measurements: &[Measurement], observations: &[PowderObservat
             (quantity.sd, o.sd.to_string()),
             ("n", o.n.to_string()),
             ("source", o.source.clone()),
+            ("date", o.measured_on.clone().unwrap_or_default()),
         ];
         cells.extend(quantity.settings.iter().copied().zip(settings.iter().map(f64::to_string)));
         cells

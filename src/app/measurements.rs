@@ -1,6 +1,7 @@
 //! Measurements of a powder: its angle of repose, and the results of other experiments.
 
 use super::check::Check;
+use super::csv_file::date::day_of;
 use super::file_powders::FilePowders;
 use super::measurement_csv::{self, Value};
 use super::stored_before::StoredBefore;
@@ -13,7 +14,7 @@ use flip_store::artifacts::sha256_hex;
 use flip_store::now;
 use flip_store::observations::PowderObservation;
 use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
-use flip_store::powders::Measurement;
+use flip_store::powders::{Measurement, Origin};
 use flip_store::said::{Row, RowOf};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -47,6 +48,9 @@ pub struct NewMeasurement {
     pub funnel_height_mm: Option<f64>,
     /// Where the numbers come from; up to 500 characters.
     pub source: Option<String>,
+    /// On which day it was made, as `2026-02-03`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured_on: Option<String>,
 }
 
 /// A measurement to register, other than the angle of repose.
@@ -63,6 +67,9 @@ pub struct NewObservation {
     pub n: u32,
     /// Where the numbers come from; up to 500 characters.
     pub source: Option<String>,
+    /// On which day it was made, as `2026-02-03`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured_on: Option<String>,
 }
 
 /// Result of importing a file of measurements.
@@ -104,6 +111,13 @@ impl Measured {
 }
 
 impl NewMeasurement {
+    /// What is stored: method, angle and origin; its errors are collected.
+    pub(super) fn checked(self, check: &mut Check) -> Option<(Method, Flowability, Origin)> {
+        let flowability = check.keep(self.flowability());
+        let origin = origin(self.source, self.measured_on, check);
+        flowability.map(|flowability| (self.method, flowability, origin))
+    }
+
     /// Mean, SD and number, from whichever form was given.
     fn flowability(&self) -> std::result::Result<Flowability, FieldError> {
         let Self {
@@ -179,8 +193,24 @@ impl NewMeasurement {
     }
 }
 
+/// Where numbers come from; errors are collected.
+fn origin(source: Option<String>, measured_on: Option<String>, check: &mut Check) -> Origin {
+    let source = source.unwrap_or_default();
+    check.source("source", &source);
+    let day = |text: &String| day_of(text).map_err(|why| FieldError::new("measured_on", why));
+    let measured_on = measured_on.as_ref().and_then(|text| check.keep(day(text)));
+    Origin { source, measured_on }
+}
+
 impl NewObservation {
-    fn checked(&self) -> std::result::Result<Observation, FieldError> {
+    /// What is stored: observation and origin; its errors are collected.
+    pub(super) fn checked(self, check: &mut Check) -> Option<(Observation, Origin)> {
+        let observed = check.keep(self.observation());
+        let origin = origin(self.source, self.measured_on, check);
+        observed.map(|observed| (observed, origin))
+    }
+
+    fn observation(&self) -> std::result::Result<Observation, FieldError> {
         let Self { observable, mean, sd, n, .. } = *self;
         Observation { observable, mean, sd, n }.checked().map_err(|error| {
             match error.field.as_str() {
@@ -202,14 +232,12 @@ impl App {
     /// Registers a measurement of a powder.
     pub async fn add_measurement(&self, powder: &str, new: NewMeasurement) -> Result<Measurement> {
         let mut check = Check::default();
-        let flowability = check.keep(new.flowability());
-        let source = new.source.unwrap_or_default();
-        check.source("source", &source);
+        let new = new.checked(&mut check);
         check.done()?;
-        let Some(flowability) = flowability else { unreachable!("checked above") };
+        let Some((method, flowability, origin)) = new else { unreachable!("checked above") };
         self.existing_powder(powder).await?;
         let mut tx = self.store().write().await?;
-        let measurement = tx.insert_measurement(powder, new.method, flowability, &source).await?;
+        let measurement = tx.insert_measurement(powder, method, flowability, &origin).await?;
         tx.audit_deed(None, "new measurement", json!({ "measurement": measurement }), now())
             .await?;
         tx.commit().await?;
@@ -232,24 +260,27 @@ impl App {
         let mut tx = self.store().write().await?;
         let mut rows = powders.register(&mut tx).await?;
         // Other imports wait for this transaction, so what is stored now is complete.
-        let mut before = StoredBefore::of(&self.measured(None).await?);
+        // A withdrawn one does not come back with the file that it came from.
+        let measurements = self.store().ever_measured().await?;
+        let observations = self.store().ever_observed().await?;
+        let mut before = StoredBefore::of(&Measured { measurements, observations });
         let left_out = entries.extract_if(.., |entry| before.has(entry)).count();
         let (measurements, observations) = (Vec::new(), Vec::new());
         let (named, powders) = (powders.named.clone(), powders.new_ids());
         let mut imported =
             Imported { powders, named, measurements, observations, already_stored: left_out };
         for entry in &entries {
-            let (powder, source) = (&entry.powder, &entry.source);
+            let (powder, origin) = (&entry.powder, &entry.origin);
             match &entry.value {
                 Value::Angle(method, angle) => {
                     imported
                         .measurements
-                        .push(tx.insert_measurement(powder, *method, *angle, source).await?);
+                        .push(tx.insert_measurement(powder, *method, *angle, origin).await?);
                 }
                 Value::Observed(observed) => {
                     imported
                         .observations
-                        .push(tx.insert_observation(powder, observed, source).await?);
+                        .push(tx.insert_observation(powder, observed, origin).await?);
                 }
             }
         }
@@ -263,7 +294,7 @@ impl App {
         Ok(imported)
     }
 
-    /// All measurements and observations; optionally of one powder.
+    /// All measurements and observations that count; optionally of one powder.
     pub async fn measured(&self, powder: Option<&str>) -> Result<Measured> {
         if let Some(powder) = powder {
             self.existing_powder(powder).await?;
@@ -291,14 +322,12 @@ impl App {
         new: NewObservation,
     ) -> Result<PowderObservation> {
         let mut check = Check::default();
-        let observed = check.keep(new.checked());
-        let source = new.source.unwrap_or_default();
-        check.source("source", &source);
+        let new = new.checked(&mut check);
         check.done()?;
-        let Some(observed) = observed else { unreachable!("checked above") };
+        let Some((observed, origin)) = new else { unreachable!("checked above") };
         self.existing_powder(powder).await?;
         let mut tx = self.store().write().await?;
-        let observation = tx.insert_observation(powder, &observed, &source).await?;
+        let observation = tx.insert_observation(powder, &observed, &origin).await?;
         tx.audit_deed(None, "new observation", json!({ "observation": observation }), now())
             .await?;
         tx.commit().await?;

@@ -3,6 +3,7 @@
 
 mod archive;
 mod asked;
+mod audit_search;
 mod backup;
 mod bench;
 mod calibrations;
@@ -10,25 +11,32 @@ mod campaign_csv;
 pub mod certificate;
 mod characterisations;
 mod check;
+mod checklist;
 mod comparison;
+mod corrections;
 mod counts;
 mod csv_file;
 mod current_simulator;
 pub mod document;
+mod dose_list;
 mod error;
 mod evaluations;
 mod events;
 mod file_powders;
+mod films;
 mod humidity;
 mod inference;
 mod investigations;
+mod job_times;
 mod jobs;
 mod judged_shakes;
 mod keyring;
+mod labels;
 mod long_answers;
 mod measurement_csv;
 mod measurements;
 mod nearest;
+mod oidc;
 mod policies;
 mod powder_card;
 mod powder_names;
@@ -37,9 +45,11 @@ mod provable;
 mod readiness;
 pub mod report_html;
 mod repose;
+mod retry;
 mod shake_csv;
 mod shakes;
 mod simulators;
+mod steepness;
 mod stored_before;
 mod tokens;
 mod trace_csv;
@@ -54,24 +64,28 @@ pub use crate::jobs::calibrate::{
     Posterior, Shortfall,
 };
 pub use crate::jobs::evaluate::EvaluationResult;
+pub use crate::jobs::film::{FilmHead, FilmResult, HeapHead, HeapRing, StepSeen};
 pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::jobs::{Conditions, Functions, Workers, give_way_to_the_bench};
 pub use asked::asked_after;
+pub use audit_search::{AUDIT_CSV_HEADER, AuditAsked, audit_csv};
 pub use backup::{BackupError, back_up, restore};
-pub use bench::{
-    AUDIT_CSV_HEADER, BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest, audit_csv,
-};
+pub use bench::{BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest};
 pub use calibrations::{Calibration, CalibrationRequest};
 pub use characterisations::CharacterisationRequest;
+pub use checklist::{Checklist, NewChecklist};
 pub use comparison::{ComparedCalibration, Comparison, ParameterSpread};
+pub use corrections::{Correction, WithdrawalRequest};
 pub use csv_file::date::DateOrder;
 pub use csv_file::{TABLE_BYTES_MAX, table_text};
 pub use current_simulator::{CURRENT, ChosenSimulator, CurrentSimulator};
+pub use dose_list::{DoseList, DoseListRequest, ListedDose};
 pub use error::{Error, Result};
 pub use evaluations::{Evaluation, EvaluationRequest};
 pub use events::Topic;
+pub use films::{Film, FilmRequest, FilmsAsked};
 pub use flip_bench::emulate::lab::Settings as LaboratorySettings;
 pub use flip_bench::hardware::camera::Upload as FrameUpload;
 pub use flip_bench::hardware::stand::Procedure;
@@ -79,7 +93,7 @@ pub use flip_bench::pile::{Compared, Dimensions as PileDimensions, Limits as Pil
 pub use flip_bench::rig::{Awaited, PileInMaking};
 pub use flip_core::domain::FieldError;
 pub use flip_core::domain::bench_check::Repeatability;
-pub use flip_core::domain::job::{JobKind, JobState, Progress};
+pub use flip_core::domain::job::{JobKind, JobState, Progress, Subject};
 pub use flip_core::domain::observable::Observable;
 pub use flip_core::domain::powder::{Flowability, Method};
 pub use flip_core::domain::timestamp::Timestamp;
@@ -92,6 +106,7 @@ pub use flip_policy::{Done, Observation};
 pub use flip_store::archive::LostArchive;
 pub use flip_store::archiving::Archived;
 pub use flip_store::audit::{AuditRecord, AuditVerification};
+pub use flip_store::audit_search::{AuditFound, AuditWanted};
 pub use flip_store::backup::Copied;
 pub use flip_store::bench::{BENCH_TOPIC, Latch};
 pub use flip_store::counts::Counts;
@@ -99,6 +114,7 @@ pub use flip_store::evaluations::{EvaluationRow, EvaluationSummary};
 pub use flip_store::events::Event;
 pub use flip_store::holds::Held;
 pub use flip_store::jobs::Job;
+pub use flip_store::labels::{ArchivedItems, Label, LabelKind, Shown};
 pub use flip_store::observations::PowderObservation;
 pub use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery, SERIES_LIMIT_MAX};
 pub use flip_store::pan::Reservation;
@@ -109,23 +125,29 @@ pub use flip_store::powders::{Measurement, Powder};
 pub use flip_store::said::{ChangedOther, RowOf};
 pub use flip_store::simulators::SimulatorVersion;
 pub use flip_store::spoonfuls::{Forgotten, ShakesWanted};
+pub use flip_store::stops::Stopped;
 pub use flip_store::tokens::{Role, TokenEntry};
 pub use flip_store::trials::{Episode, Trial, TrialPhase};
 pub use flip_store::verify::ChangedRow;
 pub use flip_store::weighing_search::{WeighingSort, WeighingsFound, WeighingsWanted};
 pub use flip_store::weighings::{Waiting, Weighing};
 pub use flip_store::who::{Who, acting};
+pub use flip_store::withdrawals::Withdrawn;
 pub use inference::{Driver, Driving, Proposal};
 pub use investigations::{Investigation, InvestigationRequest, predictions_csv};
+pub use job_times::JobTimes;
 pub use judged_shakes::StoredShakes;
 pub use keyring::Holder;
+pub use labels::{LabelChange, Labelled, Named};
 pub use measurements::{Imported, Measured, NewMeasurement, NewObservation};
+pub use oidc::{BegunLogIn, LogInAnswer, Oidc, OidcSettings};
 pub use powder_card::{CardOfPowder, JudgedSpoon, LotOnCard};
 pub use powders::{NewPowder, PowderDetail};
 pub use readiness::{Checks, Readiness};
 pub use repose::{ReposeMeasurement, ReposeRequest};
 pub use shakes::{ForgottenShakes, ImportedShakes, KeptSpoonful};
 pub use simulators::PredictionRequest;
+pub use steepness::Steepness;
 pub use tokens::NewToken;
 pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use vials::{ReservationRequest, VialReadyRequest};
@@ -147,11 +169,20 @@ pub struct Options {
     pub workers: Workers,
     /// The functions that jobs and weighings compute with; tests use formulas here.
     pub functions: Functions,
+    /// Name of the laboratory, as certificates have it.
+    pub laboratory: Option<String>,
+    /// Provider that people can log in with, if there is one.
+    pub oidc: Option<Oidc>,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { workers: Workers::Equal, functions: Functions::default() }
+        Self {
+            workers: Workers::Equal,
+            functions: Functions::default(),
+            laboratory: None,
+            oidc: None,
+        }
     }
 }
 
@@ -179,8 +210,10 @@ struct Inner {
     /// `None` if opened read-only.
     jobs: Option<Jobs>,
     keyring: Arc<Keyring>,
+    oidc: Option<Oidc>,
     /// Result of the last readiness check.
     readiness: LastLook,
+    laboratory: Option<String>,
 }
 
 impl App {
@@ -195,7 +228,7 @@ impl App {
         store_shipped_policies(&store).await.map_err(failed)?;
         let jobs =
             Jobs::start(store.clone(), options.functions, options.workers).await.map_err(failed)?;
-        Self::of(store, Some(jobs)).await.map_err(failed)
+        Self::of(store, Some(jobs), options.laboratory, options.oidc).await.map_err(failed)
     }
 
     /// Opens a data folder for reading, even while `flip serve` holds it. Anything that would write
@@ -212,7 +245,8 @@ impl App {
             opened => return opened,
         }
         let failed = |error| OpenError::of(data_dir, error);
-        Self::of(Store::open_to_read(data_dir).await.map_err(failed)?, None).await.map_err(failed)
+        let store = Store::open_to_read(data_dir).await.map_err(failed)?;
+        Self::of(store, None, None, None).await.map_err(failed)
     }
 
     /// Opens a data folder read-only and changes nothing, not even an older schema, after the
@@ -223,7 +257,7 @@ impl App {
     pub async fn look_into(data_dir: &Path) -> std::result::Result<Option<Self>, OpenError> {
         let failed = |error| OpenError::of(data_dir, error);
         match Store::examine(data_dir).await.map_err(failed)? {
-            Some(store) => Ok(Some(Self::of(store, None).await.map_err(failed)?)),
+            Some(store) => Ok(Some(Self::of(store, None, None, None).await.map_err(failed)?)),
             None => Ok(None),
         }
     }
@@ -243,12 +277,19 @@ impl App {
             opened => return opened,
         }
         let failed = |error| OpenError::of(data_dir, error);
-        Self::of(Store::open_beside(data_dir).await.map_err(failed)?, None).await.map_err(failed)
+        let store = Store::open_beside(data_dir).await.map_err(failed)?;
+        Self::of(store, None, None, None).await.map_err(failed)
     }
 
-    async fn of(store: Store, jobs: Option<Jobs>) -> store::Result<Self> {
+    async fn of(
+        store: Store,
+        jobs: Option<Jobs>,
+        laboratory: Option<String>,
+        oidc: Option<Oidc>,
+    ) -> store::Result<Self> {
         let keyring = Arc::new(Keyring::of(&store).await?);
-        Ok(Self { inner: Arc::new(Inner { store, jobs, keyring, readiness: LastLook::default() }) })
+        let readiness = LastLook::default();
+        Ok(Self { inner: Arc::new(Inner { store, jobs, keyring, oidc, readiness, laboratory }) })
     }
 
     /// Stops the bench and levels the spoon, lets running jobs save a checkpoint and return to the
@@ -260,6 +301,10 @@ impl App {
         self.note_uses().await;
         self.inner.store.close().await;
         Ok(())
+    }
+
+    fn laboratory(&self) -> Option<&str> {
+        self.inner.laboratory.as_deref()
     }
 
     fn store(&self) -> &Store {

@@ -111,11 +111,37 @@ impl App {
         let powder = self.powder_of("powder", &request.powder).await?.id;
         let jobs = self.jobs_or_refuse()?;
         let bench = jobs.bench().kind();
+        self.bench_may_pile(request.reservation.as_deref())?;
+        let set = match bench {
+            BenchKind::Devices => None,
+            _ => Some(self.emulated_powder(&powder).await?),
+        };
+        let run = match request.run {
+            Some(run) => run,
+            None => self.store().repose_runs(&powder).await? + 1,
+        };
+        let ReposeRequest { procedure, rig, limits, reservation, .. } = request;
+        let spec = ReposeSpec { powder, run, procedure, rig, limits, bench, set };
+        let queued =
+            jobs.enqueue_on_bench(&JobSpec::Repose(spec), reservation.as_deref(), None).await?;
+        queued.map_err(refused)
+    }
+
+    /// Queues the measurement of a job that failed or was cancelled, if the bench may make piles.
+    pub(super) async fn repose_again(&self, spec: &JobSpec, before: &str) -> Result<(Job, bool)> {
+        self.bench_may_pile(None)?;
+        let queued = self.jobs_or_refuse()?.enqueue_on_bench(spec, None, Some(before)).await?;
+        queued.map_err(refused)
+    }
+
+    /// Refuses if the bench has no stand, or is latched, held or reserved.
+    fn bench_may_pile(&self, reservation: Option<&str>) -> Result<()> {
+        let jobs = self.jobs_or_refuse()?;
         if jobs.bench().stand().is_none() {
             let advice = "the simulated bench has no gate and no camera: start FLIP with `--bench emulated` or with a bench file";
             return Err(Error::conflict("no_stand", advice));
         }
-        self.check_reservation(request.reservation.as_deref())?;
+        self.check_reservation(reservation)?;
         let standing = jobs.bench().standing();
         if let Some(latch) = standing.latch {
             return Err(latched(&latch));
@@ -127,18 +153,7 @@ impl App {
             );
             return Err(Error::conflict("bench_held", advice));
         }
-        let set = match bench {
-            BenchKind::Devices => None,
-            _ => Some(self.emulated_powder(&powder).await?),
-        };
-        let run = match request.run {
-            Some(run) => run,
-            None => self.store().repose_runs(&powder).await? + 1,
-        };
-        let ReposeRequest { procedure, rig, limits, reservation, .. } = request;
-        let spec = ReposeSpec { powder, run, procedure, rig, limits, bench, set };
-        let queued = jobs.enqueue_on_bench(&JobSpec::Repose(spec), reservation.as_deref()).await?;
-        queued.map_err(refused)
+        Ok(())
     }
 
     /// What represents a powder on an emulated bench: one of its calibrated sets, chosen by
@@ -159,7 +174,9 @@ impl App {
     /// One measurement by camera, with its piles.
     pub async fn repose(&self, id: &str) -> Result<ReposeMeasurement> {
         let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Repose);
-        let mut found = repose(row.ok_or_else(|| Error::not_found("repose measurement", id))?)?;
+        let mut found = repose(
+            self.placed(row.ok_or_else(|| Error::not_found("repose measurement", id))?).await?,
+        )?;
         found.piles = self.store().piles(id).await?;
         found.awaits =
             self.inner.jobs.as_ref().and_then(|jobs| jobs.bench().stand()?.inbox()?.awaits(id));

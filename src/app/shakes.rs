@@ -86,7 +86,7 @@ impl App {
     ) -> Result<Page<KeptSpoonful>> {
         self.check_wanted(wanted).await?;
         let window = page.window(LIST_LIMIT_MAX)?;
-        let Page { items, next } = window.page(self.shakes_from(wanted, window).await?);
+        let Page { items, next } = window.page(self.shakes_from(wanted, window.clone()).await?);
         Ok(Page { items: items.into_iter().flatten().collect(), next })
     }
 
@@ -97,9 +97,9 @@ impl App {
     pub async fn kept_spoonfuls(&self, wanted: &ShakesWanted) -> Result<Vec<KeptSpoonful>> {
         self.check_wanted(wanted).await?;
         let mut all = Vec::new();
-        let mut window = Window { after: None, limit: LIST_LIMIT_MAX };
+        let mut window = Window { limit: LIST_LIMIT_MAX, ..Window::default() };
         loop {
-            let found = self.shakes_from(wanted, window).await?;
+            let found = self.shakes_from(wanted, window.clone()).await?;
             let Some((last, _)) = found.last() else { return Ok(all) };
             window.after = Some(*last);
             all.extend(found.into_iter().flat_map(|(_, spoonfuls)| spoonfuls));
@@ -136,7 +136,7 @@ impl App {
         let rows = stream::try_unfold(None, move |after| {
             let (app, wanted) = (app.clone(), wanted.clone());
             async move {
-                let window = Window { after, limit: LIST_LIMIT_MAX };
+                let window = Window { after, limit: LIST_LIMIT_MAX, ..Window::default() };
                 let found = app.shakes_from(&wanted, window).await?;
                 let last = found.last().map(|(last, _)| *last);
                 let all = found.iter().flat_map(|(_, kept)| kept).map(|kept| &kept.spoonful);
@@ -224,12 +224,15 @@ impl App {
     async fn shakes_from(&self, wanted: &ShakesWanted, window: Window) -> Result<Vec<Placed>> {
         let mut found: Vec<Placed> = Vec::new();
         if window.after() < IMPORTED {
-            let shaken = self.store().shaken(wanted, window).await?;
+            let shaken = self.store().shaken(wanted, window.clone()).await?;
             found.extend(shaken.into_iter().map(|(seq, row)| (seq, self.of_weighing(&row))));
         }
         let Some(limit) = window.limit.checked_sub(found.len() as u32) else { return Ok(found) };
         let after = Some(window.after().saturating_sub(IMPORTED).max(0));
-        let rest = self.store().imported_spoonfuls(wanted, Window { after, limit }).await?;
+        let rest = self
+            .store()
+            .imported_spoonfuls(wanted, Window { after, limit, ..Window::default() })
+            .await?;
         found.extend(rest.into_iter().map(|(seq, it)| (IMPORTED + seq, vec![of_import(it)])));
         Ok(found)
     }
@@ -294,7 +297,7 @@ fn leave_out(
 }
 
 /// The spoonfuls of a weighing with these ticks. Its session is the day on which it began (UTC).
-fn spoonfuls_of(weighing: &Weighing, ticks: &[Tick]) -> Vec<KeptSpoonful> {
+pub(super) fn spoonfuls_of(weighing: &Weighing, ticks: &[Tick]) -> Vec<KeptSpoonful> {
     let at = weighing.started_at.unwrap_or(weighing.created_at);
     let of = ShakesOf {
         weighing: weighing.id.clone(),

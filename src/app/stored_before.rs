@@ -1,4 +1,4 @@
-//! Which measurements of a file are stored already, with the same powder, values and source.
+//! Which measurements of a file are stored already, with the same powder, values, source and day.
 
 use super::measurement_csv::{Entry, Value};
 use super::measurements::Measured;
@@ -15,13 +15,15 @@ impl StoredBefore {
         for it in &measured.measurements {
             let angle = Flowability { repose_deg: it.repose_deg, sd_deg: it.sd_deg, n: it.n };
             *stored
-                .entry(key(&it.powder, &it.source, &angle_key(it.method, &angle)))
+                .entry(key(&it.powder, &it.source, &it.measured_on, &angle_key(it.method, &angle)))
                 .or_default() += 1;
         }
         for it in &measured.observations {
             let observed =
                 Observation { observable: it.observable, mean: it.mean, sd: it.sd, n: it.n };
-            *stored.entry(key(&it.powder, &it.source, &format!("{observed:?}"))).or_default() += 1;
+            *stored
+                .entry(key(&it.powder, &it.source, &it.measured_on, &format!("{observed:?}")))
+                .or_default() += 1;
         }
         Self(stored)
     }
@@ -33,8 +35,10 @@ impl StoredBefore {
             Value::Angle(method, angle) => angle_key(*method, angle),
             Value::Observed(observed) => format!("{observed:?}"),
         };
-        let left =
-            self.0.get_mut(&key(&entry.powder, &entry.source, &value)).filter(|left| **left > 0);
+        let left = self
+            .0
+            .get_mut(&key(&entry.powder, &entry.origin.source, &entry.origin.measured_on, &value))
+            .filter(|left| **left > 0);
         left.map(|left| *left -= 1).is_some()
     }
 }
@@ -44,6 +48,6 @@ fn angle_key(method: Method, angle: &Flowability) -> String {
 }
 
 /// Different numbers print differently, and no id or source contains a line break.
-fn key(powder: &str, source: &str, value: &str) -> String {
-    format!("{powder}\n{source}\n{value}")
+fn key(powder: &str, source: &str, day: &Option<String>, value: &str) -> String {
+    format!("{powder}\n{source}\n{day:?}\n{value}")
 }

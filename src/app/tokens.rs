@@ -8,6 +8,7 @@ use flip_core::domain::timestamp::Timestamp;
 use flip_store::now;
 use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use flip_store::tokens::{HashedToken, Role, TokenEntry};
+use flip_store::who::{Who, acting_maybe};
 use rand::TryRng;
 use rand::rngs::SysRng;
 use serde::{Deserialize, Serialize};
@@ -58,17 +59,34 @@ impl App {
             check.refuse("expires_in_s", format!("must be from 1 to {LIFE_S_MAX} s, got {life_s}"));
         }
         check.done()?;
+        self.issue_token(new, None).await
+    }
+
+    /// Creates a token; for a log-in, with its provider and the provider's own name for the holder,
+    /// who is then on record as its maker.
+    pub(super) async fn issue_token(
+        &self,
+        new: &NewToken,
+        account: Option<(&str, &str)>,
+    ) -> Result<(TokenEntry, String)> {
         let mut random = [0u8; 40];
         SysRng.try_fill_bytes(&mut random).map_err(|error| Error::Internal(error.into()))?;
         let (id, secret) = random.split_at(8);
         let secret = format!("flip_{}_{}", hex::encode(id), hex::encode(secret));
-        let token = HashedToken {
-            entry: entry(hex::encode(id), new),
-            sha256: Sha256::digest(&secret).to_vec(),
-        };
-        let mut tx = self.store().write().await?;
-        tx.insert_token(&token).await?;
-        tx.commit().await?;
+        let mut entry = entry(hex::encode(id), new);
+        let mut who = Who::now();
+        if let Some((issuer, subject)) = account {
+            (entry.issuer, entry.subject) = (Some(issuer.to_owned()), Some(subject.to_owned()));
+            let (name, id) = (entry.name.clone(), entry.id.clone());
+            who = Some(Who { name, token: Some(id), role: Some(entry.role) });
+        }
+        let token = HashedToken { entry, sha256: Sha256::digest(&secret).to_vec() };
+        acting_maybe(who, async {
+            let mut tx = self.store().write().await?;
+            tx.insert_token(&token).await?;
+            tx.commit().await
+        })
+        .await?;
         self.inner.keyring.look(self.store()).await?;
         Ok((token.entry, secret))
     }
@@ -164,5 +182,7 @@ fn entry(id: String, new: &NewToken) -> TokenEntry {
         expires_at: life_ms.map(|ms| Timestamp::from_unix_ms(created_at.unix_ms() + ms)),
         revoked_at: None,
         last_used_at: None,
+        issuer: None,
+        subject: None,
     }
 }

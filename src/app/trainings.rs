@@ -91,6 +91,10 @@ pub struct Training {
     pub under: Option<Under>,
     /// Every setting.
     pub settings: serde_json::Value,
+    /// Episodes, from 1, whose network is kept, in order: a film shows a dose with it. The last of a
+    /// training that has succeeded is its policy's.
+    #[serde(default)]
+    pub kept_episodes: Vec<u32>,
     /// Result; absent until it has succeeded.
     pub result: Option<TrainingResult>,
 }
@@ -226,12 +230,30 @@ impl App {
     /// One training.
     pub async fn training(&self, id: &str) -> Result<Training> {
         let row = self.store().job(id).await?.filter(|row| row.job.kind == JobKind::Training);
-        training(row.ok_or_else(|| Error::not_found("training", id))?)
+        let row = self.placed(row.ok_or_else(|| Error::not_found("training", id))?).await?;
+        let mut trainings = [training(row)?];
+        self.add_kept(&mut trainings).await?;
+        let [training] = trainings;
+        Ok(training)
+    }
+
+    /// Adds the episodes whose networks were kept to what the trainings are.
+    async fn add_kept(&self, trainings: &mut [Training]) -> Result<()> {
+        let ids: Vec<&str> = trainings.iter().map(|it| it.job.id.as_str()).collect();
+        let kept = self.store().kept_episodes(&ids).await?;
+        for training in trainings {
+            let own = kept.iter().filter(|(of, ..)| *of == training.job.id);
+            let last = training.result.as_ref().map(|result| result.episodes);
+            training.kept_episodes = own.map(|(_, episode, _)| *episode).chain(last).collect();
+        }
+        Ok(())
     }
 
     /// Trainings, newest first.
     pub async fn trainings(&self, page: PageQuery) -> Result<Page<Training>> {
-        self.jobs_as(JobKind::Training, page, training).await
+        let mut found = self.jobs_as(JobKind::Training, page, training).await?;
+        self.add_kept(&mut found.items).await?;
+        Ok(found)
     }
 
     /// Episodes of a training in order; up to 5000 per page.
@@ -314,6 +336,7 @@ fn training(row: JobRow) -> Result<Training> {
         under: spec.settings.extended.as_ref().map(|extended| extended.under.clone()),
         settings: serde_json::to_value(spec.settings)
             .map_err(|error| Error::Internal(error.into()))?,
+        kept_episodes: Vec::new(),
         result: row.result.as_deref().map(stored).transpose()?,
     })
 }

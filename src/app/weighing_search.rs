@@ -44,22 +44,36 @@ impl App {
 fn wanted(asked: WeighingsAsked) -> Result<WeighingsWanted> {
     let WeighingsAsked { mut wanted, since, until } = asked;
     let mut check = Check::default();
-    let moment = |field, text: &Option<String>, days| {
-        text.as_deref().map(|text| moment(field, text.trim(), days)).transpose()
+    (wanted.since, wanted.before) = period(&mut check, since.as_deref(), until.as_deref());
+    check_text(&mut check, "q", wanted.text.as_deref());
+    check.done()?;
+    Ok(wanted)
+}
+
+/// From when, and before when: each a day, the last one included, or a time.
+pub(super) fn period(
+    check: &mut Check,
+    since: Option<&str>,
+    until: Option<&str>,
+) -> (Option<Timestamp>, Option<Timestamp>) {
+    let mut at = |field, text: Option<&str>, days| {
+        text.and_then(|text| check.keep(moment(field, text.trim(), days)))
     };
-    wanted.since = check.keep(moment("since", &since, 0)).flatten();
-    wanted.before = check.keep(moment("until", &until, 1)).flatten();
-    if let (Some(since), Some(before)) = (wanted.since, wanted.before)
+    let (since, before) = (at("since", since, 0), at("until", until, 1));
+    if let (Some(since), Some(before)) = (since, before)
         && since >= before
     {
         check.refuse("until", "must not be earlier than `since`".to_owned());
     }
-    let long = wanted.text.as_ref().map_or(0, |text| text.chars().count());
+    (since, before)
+}
+
+/// Words that are searched for.
+pub(super) fn check_text(check: &mut Check, field: &str, text: Option<&str>) {
+    let long = text.map_or(0, |text| text.chars().count());
     if long > TEXT_MAX {
-        check.refuse("q", format!("must be at most {TEXT_MAX} characters, got {long}"));
+        check.refuse(field, format!("must be at most {TEXT_MAX} characters, got {long}"));
     }
-    check.done()?;
-    Ok(wanted)
 }
 
 /// The beginning of a day, so many days later, or a time.

@@ -2,8 +2,9 @@
 
 use super::characterisations::{limit_mg, no_probe};
 use super::check::Check;
+use super::checklist::check_items;
 use super::evaluations::unmet;
-use super::trainings::without_sets;
+use super::retry::{check_key, replay, request_sha256};
 use super::vials::refused;
 use super::{App, Error, Result};
 use crate::jobs::bench::WAITING_MAX;
@@ -18,12 +19,12 @@ use flip_store::bench::Latch;
 use flip_store::page::{LIST_LIMIT_MAX, PageQuery};
 use flip_store::parameter_sets::CalibratedSet;
 use flip_store::policies::Policy;
-use flip_store::weighings::{Intent, Weighing, WeighingRow};
+use flip_store::stops::Stopped;
+use flip_store::weighings::{Intent, Weighing};
 use flip_store::{new_id, now};
 use rand::TryRng;
 use rand::rngs::SysRng;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 
 /// Minimum target, mg: below the finest display step nothing can be weighed.
@@ -101,6 +102,9 @@ pub struct WeighingDetail {
     /// affected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trace_lost: Option<String>,
+    /// Who stopped it, and when; absent if nobody did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stopped: Option<Stopped>,
 }
 
 impl App {
@@ -119,16 +123,23 @@ impl App {
         self.commit_request(request, idempotency_key).await
     }
 
-    /// The same for a request that may ask to probe the powder.
+    /// Validates a request for a dose and makes every choice that it leaves open.
+    pub(super) async fn plan_dose(
+        &self,
+        request: WeighingRequest,
+    ) -> Result<(WeighRequest, String)> {
+        no_probe(&request.asked)?;
+        self.plan(request).await
+    }
+
+    /// As `start_weighing`, for a request that may ask to probe the powder.
     pub(super) async fn commit_request(
         &self,
         request: WeighingRequest,
         idempotency_key: &str,
     ) -> Result<(Weighing, bool)> {
         check_key(idempotency_key)?;
-        let request_sha256 =
-            Sha256::digest(serde_json::to_vec(&request).map_err(|e| Error::Internal(e.into()))?)
-                .to_vec();
+        let request_sha256 = request_sha256(&request)?;
         if let Some(first) = self.store().weighing_by_key(idempotency_key).await? {
             return replay(first, &request_sha256, idempotency_key);
         }
@@ -167,11 +178,7 @@ impl App {
         let sets = self.store().sets_under(&powder, simulator, every).await?.items;
         let bench = self.jobs_or_refuse()?.bench();
         let Some(capacity_mg) = bench.spoon_holds_mg(sets.iter().map(|set| &set.parameters)) else {
-            let advice = format!(
-                "{} or POST /v1/calibrations, and weigh when it has succeeded",
-                without_sets(&powder, simulator)
-            );
-            return Err(Error::conflict("calibration_missing", advice));
+            return Err(self.uncalibrated(&powder, simulator).await?);
         };
         let fills = bench.fills_spoon();
         let probed = request.asked.probe.filter(|_| fills).map_or(1, |probe| probe.spoonfuls);
@@ -273,7 +280,8 @@ impl App {
             },
             None => (self.store().live_ticks(id).await?, None),
         };
-        Ok(WeighingDetail { weighing: row.weighing, ticks, trace_lost })
+        let stopped = self.store().stop_of(id).await?;
+        Ok(WeighingDetail { weighing: row.weighing, ticks, trace_lost, stopped })
     }
 
     pub(super) fn stored_ticks(&self, trace: &str) -> Result<Vec<Tick>> {
@@ -336,8 +344,13 @@ pub(super) fn latched(latch: &Latch) -> Error {
 /// Checks the purpose and circumstances of a weighing; returns all errors.
 fn check_asked(asked: &Asked) -> Result<()> {
     let mut check = Check::default();
-    for (field, text) in [("lot", &asked.lot), ("vial", &asked.vial), ("operator", &asked.operator)]
-    {
+    for (field, text) in [
+        ("lot", &asked.lot),
+        ("vial", &asked.vial),
+        ("operator", &asked.operator),
+        ("list", &asked.list),
+        ("position", &asked.position),
+    ] {
         if let Some(text) = text {
             check.text(&format!("asked.{field}"), text, 200);
         }
@@ -354,26 +367,8 @@ fn check_asked(asked: &Asked) -> Result<()> {
     if let OnOverdose::DiscardAndRetry { max } = asked.on_overdose {
         check.count("asked.on_overdose.max", max, 1, 5);
     }
+    check_items(&mut check, "asked.checked", &asked.checked);
     check.done()
-}
-
-/// The weighing created with a key, if it was requested with the same request.
-fn replay(first: WeighingRow, request_sha256: &[u8], key: &str) -> Result<(Weighing, bool)> {
-    match first.request_sha256 == request_sha256 {
-        true => Ok((first.weighing, true)),
-        false => Err(Error::Unprocessable { key: key.to_owned(), weighing: first.weighing.id }),
-    }
-}
-
-fn check_key(key: &str) -> Result<()> {
-    match (1..=255).contains(&key.len()) && key.bytes().all(|b| b.is_ascii_graphic()) {
-        true => Ok(()),
-        false => Err(FieldError::new(
-            "Idempotency-Key",
-            "must be 1 to 255 visible ASCII characters: use a new random one, such as a UUID, for each new weighing",
-        )
-        .into()),
-    }
 }
 
 /// Target and tolerances in mg, or all errors in them.

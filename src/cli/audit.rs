@@ -4,7 +4,8 @@ use super::Common;
 use super::failure::Failure;
 use super::session::{beside, with_reader};
 use crate::app::{
-    AUDIT_CSV_HEADER, Archived, AuditVerification, ChangedOther, ChangedRow, LostArchive, audit_csv,
+    AUDIT_CSV_HEADER, Archived, AuditAsked, AuditVerification, AuditWanted, ChangedOther,
+    ChangedRow, LostArchive, audit_csv,
 };
 use clap::ValueEnum;
 use serde::Serialize;
@@ -25,11 +26,10 @@ enum What {
         #[arg(long, value_name = "HASH")]
         hash: Option<String>,
     },
-    /// Export the records, oldest first.
+    /// Export the records that match, oldest first; without a filter all of them.
     Export {
-        /// Only records of this weighing.
-        #[arg(long, value_name = "ID")]
-        weighing: Option<String>,
+        #[command(flatten)]
+        which: Which,
         /// Output format.
         #[arg(long, value_enum, default_value_t = Format::Json)]
         format: Format,
@@ -53,10 +53,44 @@ enum What {
         /// Weighing id.
         #[arg(long, value_name = "ID")]
         weighing: String,
+        /// Name of the laboratory, at its head.
+        #[arg(long, value_name = "NAME")]
+        laboratory: Option<String>,
         /// File to write.
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
     },
+}
+
+/// Which records.
+#[derive(Debug, Clone, clap::Args)]
+struct Which {
+    /// Only records of this weighing.
+    #[arg(long, value_name = "ID")]
+    weighing: Option<String>,
+    /// Only of this kind, e.g. person, outcome, reading.
+    #[arg(long, value_name = "KIND")]
+    kind: Option<String>,
+    /// Only with these words in the name of the person who acted, signed or is the operator.
+    #[arg(long, value_name = "WORDS")]
+    person: Option<String>,
+    /// Only on this day (UTC) or later, or from this time on.
+    #[arg(long, value_name = "DATE")]
+    since: Option<String>,
+    /// Only on this day (UTC) or earlier, or before this time.
+    #[arg(long, value_name = "DATE")]
+    until: Option<String>,
+    /// Only with these words in the weighing, the kind or the contents.
+    #[arg(long, value_name = "WORDS")]
+    q: Option<String>,
+}
+
+impl Which {
+    fn asked(&self) -> AuditAsked {
+        let Self { weighing, kind, person, since, until, q: text } = self.clone();
+        let wanted = AuditWanted { weighing, kind, person, text, ..AuditWanted::default() };
+        AuditAsked { wanted, since, until }
+    }
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -76,15 +110,15 @@ struct Written {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.what {
         What::Verify { hash } => verify(common, hash.as_deref()),
-        What::Export { weighing, format, out } => {
-            export(common, weighing.as_deref(), *format, out.clone())
-        }
+        What::Export { which, format, out } => export(common, which, *format, out.clone()),
         What::Archive { before } => {
             let done = beside(common, async |app| Ok(app.archive_audit(before).await?))?;
             common.print(&done, || archived(&done))
         }
-        What::Certificate { weighing, out } => {
-            let page = with_reader(common, async |app| Ok(app.certificate(weighing).await?))?;
+        What::Certificate { weighing, laboratory, out } => {
+            let laboratory = laboratory.as_deref();
+            let page =
+                with_reader(common, async |app| Ok(app.certificate(weighing, laboratory).await?))?;
             std::fs::write(out, page)?;
             let written = Written { file: out.clone(), records: 1 };
             common.print(&written, || format!("{} holds the certificate", written.file.display()))
@@ -153,15 +187,10 @@ fn differences(found: &AuditVerification) -> String {
     lines.collect()
 }
 
-fn export(
-    common: &Common,
-    weighing: Option<&str>,
-    format: Format,
-    out: PathBuf,
-) -> Result<(), Failure> {
+fn export(common: &Common, which: &Which, format: Format, out: PathBuf) -> Result<(), Failure> {
     let (text, records) = with_reader(common, async |app| {
         let mut all = Vec::new();
-        app.export_audit(weighing, |record| all.push(record.clone())).await?;
+        app.export_audit(which.asked(), |record| all.push(record.clone())).await?;
         let text = match format {
             Format::Json => serde_json::to_string_pretty(&all)?,
             Format::Csv => {

@@ -55,6 +55,9 @@ enum Action {
         /// Version, `sv-…`, or `base`.
         #[arg(value_name = "VERSION")]
         simulator: String,
+        /// Why, for the record.
+        #[arg(long, value_name = "TEXT")]
+        reason: Option<String>,
     },
 }
 
@@ -179,8 +182,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
                 format!("{}\n\n{}", versions_text(&versions), current_text(&current))
             })
         }
-        Some(Action::Use { simulator }) => {
-            let chosen = ChosenSimulator { simulator: simulator.clone() };
+        Some(Action::Use { simulator, reason }) => {
+            let chosen = ChosenSimulator { simulator: simulator.clone(), reason: reason.clone() };
             let current = with_app(common, async |app| Ok(app.choose_simulator(&chosen).await?))?;
             common.print(&current, || current_text(&current))
         }

@@ -93,6 +93,7 @@ impl From<Error> for Failure {
             Error::Conflict { .. } | Error::Unprocessable { .. } => Self::NotNow(error.to_string()),
             Error::Busy(_)
             | Error::Unavailable(_)
+            | Error::Refused(_)
             | Error::TokenEnded
             | Error::Lost(_)
             | Error::Internal(_) => Self::Failed(error.into()),

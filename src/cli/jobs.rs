@@ -4,13 +4,16 @@ use super::Common;
 use super::failure::Failure;
 use super::session::with_reader;
 use super::table::table;
-use crate::app::{Job, PageQuery};
+use crate::app::{Job, JobTimes, PageQuery};
 use clap::ValueEnum;
 use flip_core::domain::job::{JobKind, JobState};
 
 /// Arguments of `flip jobs`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
+    /// How long jobs took on this machine, by kind, instead of the list.
+    #[arg(long, conflicts_with_all = ["kind", "state", "after"])]
+    times: bool,
     /// Only jobs of this kind.
     #[arg(long, value_enum)]
     kind: Option<KindFlag>,
@@ -33,6 +36,8 @@ enum KindFlag {
     Investigation,
     /// Angle of repose from piles under a camera.
     Repose,
+    /// The grains of a weighing's spoonful.
+    Film,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -46,27 +51,80 @@ enum StateFlag {
 
 /// Prints the job list.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let page = PageQuery { limit: Some(arguments.limit), after: arguments.after.clone() };
+    if arguments.times {
+        let times = with_reader(common, async |app| Ok(app.job_times().await?))?;
+        return common.print(&times, || times_text(&times));
+    }
+    let page = PageQuery {
+        limit: Some(arguments.limit),
+        after: arguments.after.clone(),
+        ..PageQuery::default()
+    };
     let kind = arguments.kind.map(JobKind::from);
     let state = arguments.state.map(JobState::from);
     let jobs = with_reader(common, async |app| Ok(app.jobs(kind, state, page).await?))?;
     common.print(&jobs, || text(&jobs.items))
 }
 
-fn text(jobs: &[Job]) -> String {
-    let word = |value: serde_json::Result<serde_json::Value>| {
-        value.ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+fn word(value: serde_json::Result<serde_json::Value>) -> String {
+    value.ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+fn times_text(times: &[JobTimes]) -> String {
+    let row = |it: &JobTimes| {
+        vec![
+            word(serde_json::to_value(it.sort.kind)),
+            it.sort.method.clone().unwrap_or_default(),
+            it.n.to_string(),
+            format!("{:.0}", it.lower_s),
+            format!("{:.0}", it.median_s),
+            format!("{:.0}", it.upper_s),
+        ]
     };
+    table(
+        &["kind", "method", "n", "quartile s", "median s", "quartile s"],
+        &times.iter().map(row).collect::<Vec<_>>(),
+    )
+}
+
+fn text(jobs: &[Job]) -> String {
     let row = |job: &Job| {
         vec![
             job.id.clone(),
             word(serde_json::to_value(job.kind)),
+            of(job),
             word(serde_json::to_value(job.state)),
             format!("{:.0} %", 100.0 * job.progress.fraction),
+            when(job),
             job.error.clone().unwrap_or_else(|| job.progress.message.clone()),
         ]
     };
-    table(&["job", "kind", "state", "done", "message"], &jobs.iter().map(row).collect::<Vec<_>>())
+    table(
+        &["job", "kind", "of", "state", "done", "left", "message"],
+        &jobs.iter().map(row).collect::<Vec<_>>(),
+    )
+}
+
+/// What it is about: its policy and powders, or the angle that it aims at.
+fn of(job: &Job) -> String {
+    let subject = &job.subject;
+    let powders = match (&subject.powders[..], subject.repose_deg) {
+        ([], Some(deg)) => format!("{deg:.2}°"),
+        (powders, _) => powders.join(", "),
+    };
+    match &subject.policy {
+        Some(policy) => format!("{policy} on {powders}"),
+        None => powders,
+    }
+}
+
+/// Time left, or its place in the queue.
+fn when(job: &Job) -> String {
+    match (job.place, job.left_s) {
+        (Some(place), _) => format!("place {place}"),
+        (None, Some(left_s)) => format!("about {left_s:.0} s"),
+        (None, None) => String::new(),
+    }
 }
 
 impl From<KindFlag> for JobKind {
@@ -77,6 +135,7 @@ impl From<KindFlag> for JobKind {
             KindFlag::Evaluation => Self::Evaluation,
             KindFlag::Investigation => Self::Investigation,
             KindFlag::Repose => Self::Repose,
+            KindFlag::Film => Self::Film,
         }
     }
 }

@@ -20,12 +20,14 @@ mod doctor;
 mod emulate;
 mod evaluate;
 mod failure;
+mod film;
 mod health;
 mod jobs;
 mod manual;
 mod measure;
 mod measurements;
 mod observe;
+mod oidc;
 mod parameters;
 mod policy;
 mod repose;
@@ -40,8 +42,9 @@ mod validate;
 mod view;
 mod watch;
 mod weigh;
+mod weigh_list;
 
-use crate::app::{LIST_LIMIT_MAX, PageQuery};
+use crate::app::{ArchivedItems, LIST_LIMIT_MAX, PageQuery, Shown};
 use crate::telemetry;
 use clap::{Args, Parser, Subcommand};
 use failure::Failure;
@@ -121,6 +124,8 @@ enum Command {
     Weigh(weigh::Arguments),
     /// Probe a powder on the bench: a few spoonfuls that show how it flows, and the powder's card.
     Characterise(characterise::Arguments),
+    /// Film the grains of a weighing, or of a heap: the simulator makes them move again.
+    Film(film::Arguments),
     /// Inspect the bench, probe and check its devices, clear it; time the simulator, alone or
     /// against others.
     Bench(bench::Arguments),
@@ -132,8 +137,8 @@ enum Command {
     Restore(backup::RestoreArguments),
     /// Run emulated devices, singly or as a whole laboratory, until Ctrl-C.
     Emulate(emulate::Arguments),
-    /// List calibrations, trainings, evaluations, investigations and camera measurements; works
-    /// while a server runs.
+    /// List calibrations, trainings, evaluations, investigations, camera measurements and films;
+    /// works while a server runs.
     Jobs(jobs::Arguments),
     /// Create, list and revoke API tokens; works while a server runs.
     Token(token::Arguments),
@@ -150,7 +155,11 @@ enum Command {
 }
 
 /// The longest list that fits on one page.
-const FIRST_PAGE: PageQuery = PageQuery { limit: Some(LIST_LIMIT_MAX), after: None };
+const FIRST_PAGE: PageQuery = PageQuery {
+    limit: Some(LIST_LIMIT_MAX),
+    after: None,
+    shown: Shown { archived: ArchivedItems::Exclude, tag: None },
+};
 
 /// Parses the arguments, runs the command, and reports the result as exit status.
 pub fn main() -> ExitCode {
@@ -195,6 +204,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Discover(arguments) => discover::run(common, arguments),
         Command::Characterise(arguments) => characterise::run(common, arguments),
         Command::Weigh(arguments) => weigh::run(common, arguments),
+        Command::Film(arguments) => film::run(common, arguments),
         Command::Bench(arguments) => bench::run(common, arguments),
         Command::Emulate(arguments) => emulate::run(common, arguments),
         Command::Audit(arguments) => audit::run(common, arguments),

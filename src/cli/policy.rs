@@ -98,7 +98,8 @@ struct Infer {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         PolicyCommand::List { limit, after } => {
-            let page = PageQuery { limit: Some(*limit), after: after.clone() };
+            let page =
+                PageQuery { limit: Some(*limit), after: after.clone(), ..PageQuery::default() };
             let policies = with_reader(common, async |app| Ok(app.policies(page).await?))?;
             common.print(&policies, || text(&policies.items))
         }

@@ -3,6 +3,7 @@
 use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
+use super::oidc::OidcArguments;
 use super::session::{StopSignals, service_runtime};
 use super::token;
 use crate::api::{self, ServeConfig, ServeError, Server, Tls};
@@ -21,6 +22,11 @@ pub(super) struct Arguments {
     address: Address,
     #[command(flatten)]
     bench: BenchArguments,
+    /// Name of the laboratory, at the head of certificates.
+    #[arg(long, value_name = "NAME")]
+    laboratory: Option<String>,
+    #[command(flatten)]
+    oidc: OidcArguments,
     /// Format of log lines on stderr; FLIP_LOG selects which are shown, e.g. FLIP_LOG=flip=debug.
     #[arg(long, value_enum, default_value_t = LogFormat::Text)]
     log_format: LogFormat,
@@ -63,7 +69,12 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
     service_runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
-        let options = Options { workers: Workers::GiveWay, ..arguments.bench.options()? };
+        let options = Options {
+            workers: Workers::GiveWay,
+            laboratory: arguments.laboratory.clone(),
+            oidc: arguments.oidc.provider()?,
+            ..arguments.bench.options()?
+        };
         let app = App::open(&common.data_dir, options).await?;
         let server = match bind(&app, &arguments.address) {
             Ok(server) => server,

@@ -127,9 +127,10 @@ fn text(items: &[TokenEntry]) -> String {
             it.created_at.to_string(),
             word(it.last_used_at, "never"),
             ends,
+            it.issuer.clone().unwrap_or_else(|| "FLIP".to_owned()),
         ]
     });
-    table(&["id", "name", "role", "made", "last used", "ends"], &rows.collect::<Vec<_>>())
+    table(&["id", "name", "role", "made", "last used", "ends", "from"], &rows.collect::<Vec<_>>())
 }
 
 /// Seconds in `90s`, `15m`, `12h` or `30d`.

@@ -5,7 +5,7 @@ use super::failure::Failure;
 use crate::app::App;
 use crate::app::Job;
 use crate::telemetry;
-use flip_core::domain::job::JobState;
+use flip_core::domain::job::{JobState, seconds_left};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -129,21 +129,5 @@ impl Line {
             });
             telemetry::say(format_args!("{}: {message}{took}", self.label));
         }
-    }
-}
-
-/// Time left at the pace so far; none until the pace is known.
-fn seconds_left(done: f64, left: f64, elapsed: Duration) -> Option<f64> {
-    (done > 0.0).then(|| elapsed.as_secs_f64() * left / done)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn time_left_follows_the_pace_since_the_watch_began() {
-        assert_eq!(seconds_left(0.25, 0.75, Duration::from_secs(10)), Some(30.0));
-        assert_eq!(seconds_left(0.0, 1.0, Duration::from_secs(10)), None);
     }
 }

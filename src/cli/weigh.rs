@@ -8,6 +8,7 @@ use super::session::with_bench;
 use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
+use super::weigh_list;
 use crate::app::{
     App, Asked, Error, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest, Weighing,
     WeighingRequest,
@@ -16,33 +17,52 @@ use crate::telemetry;
 use flip_core::domain::conditions::{Conditions, Under};
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use serde::Serialize;
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// How often a weighing's row is polled.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+pub(super) const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// Arguments of `flip weigh`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// Powder id.
-    #[arg(long, value_name = "ID")]
-    powder: String,
+    #[arg(long, value_name = "ID", required_unless_present = "list")]
+    powder: Option<String>,
     /// Target mass, mg; at most what the spoon holds.
-    #[arg(long, value_name = "MG", allow_negative_numbers = true)]
-    target_mg: f64,
-    /// Tolerance either way, mg.
+    #[arg(
+        long,
+        value_name = "MG",
+        required_unless_present = "list",
+        allow_negative_numbers = true
+    )]
+    target_mg: Option<f64>,
+    /// Doses to weigh one after another: a table as CSV, with a header and a row for each dose
+    /// (`powder`, `target_mg`, and if wanted `tolerance_mg`, `position`, `vial`, `lot`, `operator`,
+    /// `repeats`). All rows are checked before anything moves. After an interruption the same
+    /// command goes on.
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with_all = ["powder", "target_mg", "lot", "vial", "simulator"]
+    )]
+    list: Option<PathBuf>,
+    /// Name of the list, a new one [default: the name of the file].
+    #[arg(long, value_name = "TEXT", requires = "list")]
+    pub(super) name: Option<String>,
+    /// Tolerance either way, mg; of a list, for rows that give none.
     #[arg(long, value_name = "MG", default_value_t = 1.0, allow_negative_numbers = true)]
-    tolerance_mg: f64,
+    pub(super) tolerance_mg: f64,
     /// Policy id [default: the one with the smallest evaluated error for the powder, or the shipped
     /// one if none is evaluated].
     #[arg(long, value_name = "ID")]
-    policy: Option<String>,
+    pub(super) policy: Option<String>,
     /// Lot of the powder.
     #[arg(long, value_name = "TEXT")]
     lot: Option<String>,
     /// Name of the operator.
     #[arg(long, value_name = "NAME")]
-    operator: Option<String>,
+    pub(super) operator: Option<String>,
     /// Label of the vial on the pan. It must be empty, and the balance is checked for that; if
     /// omitted, FLIP doses into whatever is on the pan.
     #[arg(long, value_name = "TEXT")]
@@ -50,7 +70,7 @@ pub(super) struct Arguments {
     #[command(flatten)]
     extended: SimulatorArguments,
     #[command(flatten)]
-    bench: BenchArguments,
+    pub(super) bench: BenchArguments,
 }
 
 /// The document of `flip weigh`.
@@ -78,9 +98,15 @@ struct Document {
     seed: u64,
 }
 
-/// Weighs one dose and prints how it ended.
+/// Weighs one dose, or those of a list, and prints how it ended.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let request = request(&arguments.powder, arguments.target_mg, arguments.tolerance_mg);
+    if let Some(file) = &arguments.list {
+        return weigh_list::run(common, arguments, file);
+    }
+    // Both are required without a list.
+    let powder = arguments.powder.as_deref().unwrap_or_default();
+    let target_mg = arguments.target_mg.unwrap_or_default();
+    let request = request(powder, target_mg, arguments.tolerance_mg);
     let (simulator, conditions) =
         (arguments.extended.simulator.clone(), arguments.extended.conditions()?);
     let policy = arguments.policy.clone();
@@ -261,7 +287,8 @@ fn text(document: &Document) -> String {
     };
     let outcome = serde_json::to_value(document.outcome).ok();
     let measured = document.measured.as_ref();
-    let is_unproven = measured.is_some_and(|measured| measured.proven == Some(false));
+    let is_unproven = document.outcome == Some(Outcome::Within)
+        && measured.is_some_and(|measured| measured.proven == Some(false));
     format!(
         "outcome    {}{}\ntarget     {:.2} mg\nreading    {}{}\nerror      {}\ndispensed  {}\nshakes     {}\nseconds    {:.1}\n\
          policy     {}{}",

@@ -6,6 +6,7 @@
 
 use super::calibrate::CalibrationResult;
 use super::evaluate::EvaluationResult;
+use super::film::FilmResult;
 use super::repose::ReposeResult;
 use super::spec::{CalibrationSpec, ReposeSpec};
 use super::train::TrainingResult;
@@ -71,6 +72,9 @@ pub(super) trait JobHost: Sync {
     /// The bytes of a policy, if there is one of this id.
     fn policy(&self, id: &str) -> Result<Option<Vec<u8>>>;
 
+    /// The bytes of a network that a training kept, by their policy id.
+    fn kept_policy(&self, id: &str) -> Result<Option<Vec<u8>>>;
+
     /// A calibrated set, if there is one of this id.
     fn parameter_set(&self, id: &str) -> Result<Option<ParameterSet>>;
 
@@ -122,6 +126,8 @@ pub(super) enum Piece<'a> {
     Probe { owner: &'a str, probe: &'a Probe },
     /// A round of a training; episodes that are already saved stay as they are.
     Episodes(&'a [EpisodeRecord]),
+    /// The network that played this episode, from 1, as a policy's bytes.
+    Kept { episode: u32, policy: &'a [u8] },
     /// The training starts over, for this reason.
     CheckpointLost(&'a str),
     /// A dose of the evaluation.
@@ -147,6 +153,8 @@ pub(super) enum Finished<'a> {
     Investigation { report: &'a Report, version: Option<NewVersion<'a>> },
     /// A registered result becomes a measurement of the powder, with its source.
     Repose { spec: &'a ReposeSpec, result: &'a ReposeResult, source: &'a str },
+    /// The file was put before.
+    Film { result: &'a FilmResult },
 }
 
 /// A version of the simulator to store.
@@ -169,6 +177,7 @@ impl Finished<'_> {
             Self::Evaluation { result, .. } => serde_json::to_string(result),
             Self::Investigation { report, .. } => serde_json::to_string(report),
             Self::Repose { result, .. } => serde_json::to_string(result),
+            Self::Film { result } => serde_json::to_string(result),
         };
         document.map_err(|error| JobError::Fail(error.to_string()))
     }

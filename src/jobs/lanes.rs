@@ -1,13 +1,36 @@
-//! Concurrency of jobs: trainings run alongside everything, jobs that wait for a bench too, and all
-//! others run one at a time.
+//! Concurrency of jobs: trainings run alongside everything, jobs that wait for a bench too, films one
+//! after another, and all others one at a time.
 //!
 //! The steps of a training are sequential, so a single training leaves cores idle. A calibration,
 //! an evaluation or an investigation fills every core by itself, and a calibration leaves an
-//! emulator that the next one needs.
+//! emulator that the next one needs. A film takes seconds of one core, and somebody waits for it.
 
 use flip_core::domain::job::JobKind;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+/// Which slots a job takes. Jobs of one lane start in the order in which they were requested.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lane {
+    /// One job at a time, on all cores.
+    Turns,
+    /// Trainings.
+    Trainings,
+    /// Measurements on the bench.
+    Bench,
+    /// Films, one at a time.
+    Films,
+}
+
+/// The lane of a kind of job.
+pub fn lane_of(kind: JobKind) -> Lane {
+    match kind {
+        JobKind::Training => Lane::Trainings,
+        JobKind::Repose => Lane::Bench,
+        JobKind::Film => Lane::Films,
+        JobKind::Calibration | JobKind::Evaluation | JobKind::Investigation => Lane::Turns,
+    }
+}
 
 /// Slots for computing.
 pub(super) struct Lanes {
@@ -17,6 +40,7 @@ pub(super) struct Lanes {
     trainings_max: u32,
     /// Slot for measurements on the bench.
     bench: Arc<Semaphore>,
+    films: Arc<Semaphore>,
 }
 
 /// A slot, freed when dropped.
@@ -28,7 +52,13 @@ impl Lanes {
         let trainings_max =
             std::thread::available_parallelism().map_or(2, |cores| cores.get().max(2)) as u32;
         let free = |places: u32| Arc::new(Semaphore::new(places as usize));
-        Self { turns: free(1), trainings: free(trainings_max), trainings_max, bench: free(1) }
+        Self {
+            turns: free(1),
+            trainings: free(trainings_max),
+            trainings_max,
+            bench: free(1),
+            films: free(1),
+        }
     }
 
     /// Takes a slot for a job of this kind; `None` if all are taken.
@@ -37,18 +67,20 @@ impl Lanes {
     }
 
     fn of(&self, kind: JobKind) -> &Arc<Semaphore> {
-        match kind {
-            JobKind::Training => &self.trainings,
-            JobKind::Repose => &self.bench,
-            JobKind::Calibration | JobKind::Evaluation | JobKind::Investigation => &self.turns,
+        match lane_of(kind) {
+            Lane::Trainings => &self.trainings,
+            Lane::Bench => &self.bench,
+            Lane::Turns => &self.turns,
+            Lane::Films => &self.films,
         }
     }
 
     /// Waits until nothing is computing.
     pub async fn all_free(&self) {
-        // The semaphores are never closed, so both are granted.
+        // The semaphores are never closed, so all are granted.
         let _ = self.turns.acquire().await;
         let _ = self.bench.acquire().await;
+        let _ = self.films.acquire().await;
         let _ = self.trainings.acquire_many(self.trainings_max).await;
     }
 }
@@ -65,6 +97,8 @@ mod tests {
         assert!(lanes.take(JobKind::Investigation).is_none());
         let measurement = lanes.take(JobKind::Repose).unwrap();
         assert!(lanes.take(JobKind::Repose).is_none());
+        let film = lanes.take(JobKind::Film).unwrap();
+        assert!(lanes.take(JobKind::Film).is_none());
         let trainings: Vec<Place> = std::iter::from_fn(|| lanes.take(JobKind::Training)).collect();
         assert_eq!(trainings.len() as u32, lanes.trainings_max);
         drop(calibration);
@@ -72,7 +106,7 @@ mod tests {
         let waiting =
             tokio::time::timeout(std::time::Duration::from_millis(20), lanes.all_free()).await;
         assert!(waiting.is_err(), "trainings still compute");
-        drop((trainings, measurement));
+        drop((trainings, measurement, film));
         lanes.all_free().await;
         assert!(lanes.take(JobKind::Training).is_some());
     }

@@ -13,6 +13,7 @@ use flip_store::audit::About;
 use flip_store::jobs::job_topic;
 use flip_store::ledger::{Claimed, Lease};
 use flip_store::piles::Pile;
+use flip_store::powders::Origin;
 use flip_store::said::{Row, RowOf};
 use flip_store::{self as store, Store, Tx, now};
 use serde::Serialize;
@@ -135,6 +136,9 @@ impl LeasedJob {
                 }
                 return Ok(any_new);
             }
+            Piece::Kept { episode, policy } => {
+                return tx.insert_kept(job, episode, &flip_policy::id(policy), policy).await;
+            }
             Piece::CheckpointLost(why) => {
                 self.emit(tx, "checkpoint_lost", &serde_json::json!({ "why": why })).await?;
                 return Ok(false);
@@ -183,10 +187,12 @@ impl LeasedJob {
             }
             Finished::Repose { spec, result, source } if result.registered => {
                 let (powder, angle) = (&spec.powder, result.repeats.tip);
-                let made = tx.insert_measurement(powder, Method::Automated, angle, source).await?;
+                let made = tx
+                    .insert_measurement(powder, Method::Automated, angle, &Origin::undated(source))
+                    .await?;
                 tx.audit_rows(vec![Row::of(RowOf::Measurement, &made.id, &made)]).await?;
             }
-            Finished::Repose { .. } => {}
+            Finished::Repose { .. } | Finished::Film { .. } => {}
         }
         Ok(())
     }
@@ -234,6 +240,10 @@ impl JobHost for LeasedJob {
 
     fn policy(&self, id: &str) -> Result<Option<Vec<u8>>> {
         self.read(self.store.policy_bytes(id))
+    }
+
+    fn kept_policy(&self, id: &str) -> Result<Option<Vec<u8>>> {
+        self.read(self.store.kept_policy(id))
     }
 
     fn parameter_set(&self, id: &str) -> Result<Option<ParameterSet>> {
@@ -299,7 +309,7 @@ mod tests {
     use super::super::evaluate::EvaluationResult;
     use super::super::stop::Stop;
     use super::*;
-    use flip_core::domain::job::{JobKind, JobState};
+    use flip_core::domain::job::{JobKind, JobState, Subject};
     use flip_core::domain::timestamp::Timestamp;
     use flip_store::ledger::Claim;
 
@@ -335,7 +345,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
-        tx.insert_job("j", JobKind::Evaluation, "{}", &[0; 32], now()).await.unwrap();
+        tx.insert_job("j", JobKind::Evaluation, ("{}", &[0; 32]), &Subject::default(), None, now())
+            .await
+            .unwrap();
         tx.commit().await.unwrap();
         let late = leased(&store, claim(&store, "j", 0).await);
         let current = leased(&store, claim(&store, "j", 100).await);

@@ -8,7 +8,7 @@
 //!  worker.rs   take a slot of its lane (lanes.rs) and claim the row: fence + lease
 //!     |        lease.rs renews the lease from a thread of its own
 //!     v
-//!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, investigate.rs, one at a time | repose.rs, on the bench
+//!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, investigate.rs, one at a time | repose.rs, on the bench | film.rs, episode_film.rs
 //!              load inputs, call the pure function, save what it finds
 //!              host.rs: what such a body may ask for; leased.rs answers over the store, every write carries the fence
 //!              runner.rs: who carries out the experiments that it hands over
@@ -19,7 +19,9 @@
 pub mod bench;
 pub mod calibrate;
 mod conditions;
+pub mod episode_film;
 pub mod evaluate;
+pub mod film;
 mod heaps;
 mod host;
 mod investigate;
@@ -39,14 +41,15 @@ pub mod train;
 mod worker;
 
 pub use conditions::Conditions;
+pub use lanes::lane_of;
 pub use priority::give_way_to_the_bench;
 pub use runner::{
     Cores, HeapExperiment, HeapRunner, ObservableExperiment, ObservableRunner, Run, Runner,
     SpoonRunner, heaps_on_cores, observables_on_cores, spoons_on_cores,
 };
 pub use spec::{
-    CalibrationSpec, EvaluationPowder, EvaluationSpec, Heaps, InvestigationSpec, JobSpec,
-    ReposeSpec, SIMULATOR, SpoonSpec, TrainingSpec,
+    CalibrationSpec, EpisodeFilmSpec, EvaluationPowder, EvaluationSpec, FilmSpec, HeapFilmSpec,
+    Heaps, InvestigationSpec, JobSpec, ReposeSpec, SIMULATOR, SpoonSpec, TrainingSpec,
 };
 
 use bench::Bench;
@@ -184,11 +187,20 @@ impl Jobs {
     /// # Errors
     /// [`store::Error`]
     pub async fn enqueue(&self, spec: &JobSpec) -> store::Result<(Job, bool)> {
-        self.queue(self.shared.store.write().await?, spec).await
+        self.queue(self.shared.store.write().await?, spec, None).await
     }
 
-    /// The same, if the bench may be used under this reservation, or under none; otherwise returns
-    /// why it may not.
+    /// Queues a job with the specification of one that failed or was cancelled, linked to it.
+    /// `false`: an equal job is queued, running or has succeeded meanwhile, and this is it.
+    ///
+    /// # Errors
+    /// [`store::Error`]
+    pub async fn enqueue_again(&self, spec: &JobSpec, before: &str) -> store::Result<(Job, bool)> {
+        self.queue(self.shared.store.write().await?, spec, Some(before)).await
+    }
+
+    /// As [`Self::enqueue`], or as [`Self::enqueue_again`] if it starts another job again, if the
+    /// bench may be used under this reservation, or under none; otherwise returns why it may not.
     ///
     /// # Errors
     /// [`store::Error`]
@@ -196,21 +208,33 @@ impl Jobs {
         &self,
         spec: &JobSpec,
         reservation: Option<&str>,
+        again_of: Option<&str>,
     ) -> store::Result<Result<(Job, bool), Refused>> {
         let mut tx = self.shared.store.write().await?;
         match tx.may_use_bench(reservation, now()).await? {
             Some(refused) => Ok(Err(refused)),
-            None => Ok(Ok(self.queue(tx, spec).await?)),
+            None => Ok(Ok(self.queue(tx, spec, again_of).await?)),
         }
     }
 
-    async fn queue(&self, mut tx: Tx, spec: &JobSpec) -> store::Result<(Job, bool)> {
+    async fn queue(
+        &self,
+        mut tx: Tx,
+        spec: &JobSpec,
+        again_of: Option<&str>,
+    ) -> store::Result<(Job, bool)> {
         let (text, sha256) = spec.canonical();
-        let (job, created) = tx.insert_job(&new_id(), spec.kind(), &text, &sha256, now()).await?;
+        let (job, created) = tx
+            .insert_job(&new_id(), spec.kind(), (&text, &sha256), &spec.subject(), again_of, now())
+            .await?;
         if created {
             let kind = serde_json::json!(spec.kind());
             let action = format!("start {}", kind.as_str().unwrap_or("job"));
-            tx.audit_deed(None, &action, serde_json::json!({ "job": job.id }), now()).await?;
+            let mut said = serde_json::json!({ "job": job.id });
+            if let Some(before) = again_of {
+                said["again_of"] = before.into();
+            }
+            tx.audit_deed(None, &action, said, now()).await?;
             tx.commit().await?;
             self.shared.wake.notify_one();
         }

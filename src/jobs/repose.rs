@@ -131,15 +131,15 @@ fn looked_at(host: &dyn JobHost, spec: &ReposeSpec, number: u32, taken: &[Upload
     let decoded: std::result::Result<Vec<_>, _> = taken.iter().map(Upload::decode).collect();
     let found = match decoded {
         Ok(frames) => {
-            pile::measure(&frames, &spec.rig, &spec.limits).map_err(|refusal| refusal.to_string())
+            pile::look(&frames, &spec.rig, &spec.limits).map_err(|refusal| refusal.to_string())
         }
         Err(error) => Err(error.to_string()),
     };
-    let (measured, refusal) = match found {
-        Ok(measured) => (Some(measured), None),
-        Err(refusal) => (None, Some(refusal)),
+    let (measured, outline, refusal) = match found {
+        Ok((measured, outline)) => (Some(measured), Some(outline), None),
+        Err(refusal) => (None, None, Some(refusal)),
     };
-    Ok(Pile { number, at: now(), measured, refusal, frames: files })
+    Ok(Pile { number, at: now(), measured, refusal, frames: files, outline })
 }
 
 fn without_angle(piles: &[Pile]) -> String {

@@ -11,13 +11,18 @@
 //! | 2 | `fixed` of a calibration's settings | all nine parameters are searched |
 //! | 2 | `patch` of a calibration | spoons are observed as the base simulates them |
 //! | 2 | `shakes` of an investigation | no spoon is judged |
+//! | 3 | films | |
+//! | 4 | films of heaps | |
+//! | 5 | films of a training's episodes | |
+
+mod films;
 
 use super::conditions::Conditions;
 use flip_bench::hardware::stand::Procedure;
 use flip_bench::pile::{Dimensions, Limits};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::conditions::{Patch, Under};
-use flip_core::domain::job::JobKind;
+use flip_core::domain::job::{JobKind, Subject};
 use flip_core::domain::observable::Observation;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Flowability;
@@ -34,12 +39,14 @@ use flip_sim as sim;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+pub use films::{EpisodeFilmSpec, FilmSpec, HeapFilmSpec};
+
 /// Version of this program's simulator. It is part of every specification: results of different
 /// versions are never mixed.
 pub const SIMULATOR: &str = sim::VERSION;
 
 /// Latest version of the specifications written here; a text without a number is of version 1.
-const VERSION: u32 = 2;
+const VERSION: u32 = 5;
 
 /// Why a stored specification cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -89,6 +96,12 @@ pub enum JobSpec {
     Investigation(InvestigationSpec),
     /// Piles under a camera.
     Repose(ReposeSpec),
+    /// The grains of a spoonful.
+    Film(FilmSpec),
+    /// The grains of a heap.
+    HeapFilm(HeapFilmSpec),
+    /// The grains of a dose with the network of a training's episode.
+    EpisodeFilm(EpisodeFilmSpec),
 }
 
 /// A calibration to carry out.
@@ -263,6 +276,58 @@ impl JobSpec {
             Self::Evaluation(_) => JobKind::Evaluation,
             Self::Investigation(_) => JobKind::Investigation,
             Self::Repose(_) => JobKind::Repose,
+            Self::Film(_) | Self::HeapFilm(_) | Self::EpisodeFilm(_) => JobKind::Film,
+        }
+    }
+
+    /// What it is about.
+    pub fn subject(&self) -> Subject {
+        let each_once = |powders: Vec<&String>| {
+            let mut once: Vec<String> = Vec::new();
+            for powder in powders {
+                if !once.contains(powder) {
+                    once.push(powder.clone());
+                }
+            }
+            once
+        };
+        match self {
+            Self::Calibration(spec) => Subject {
+                powders: spec.powder.iter().cloned().collect(),
+                repose_deg: Some(spec.target.repose_deg),
+                policy: None,
+            },
+            Self::Training(spec) => Subject {
+                powders: each_once(spec.levels.iter().map(|it| &it.powder).collect()),
+                ..Subject::default()
+            },
+            Self::Evaluation(spec) => Subject {
+                powders: each_once(spec.powders.iter().map(|it| &it.powder).collect()),
+                policy: Some(spec.policy.clone()),
+                repose_deg: None,
+            },
+            Self::Investigation(spec) => {
+                let powders = spec.campaign.as_ref().map(|it| it.powders.clone());
+                Subject { powders: powders.unwrap_or_default(), ..Subject::default() }
+            }
+            Self::Repose(spec) => {
+                Subject { powders: vec![spec.powder.clone()], ..Subject::default() }
+            }
+            Self::Film(_) | Self::HeapFilm(_) | Self::EpisodeFilm(_) => Subject::default(),
+        }
+    }
+
+    /// The version of the simulator that it is for; none if it simulates nothing.
+    pub fn simulator(&self) -> Option<&str> {
+        match self {
+            Self::Calibration(spec) => Some(&spec.simulator),
+            Self::Training(spec) => Some(&spec.simulator),
+            Self::Evaluation(spec) => Some(&spec.simulator),
+            Self::Investigation(spec) => Some(&spec.simulator),
+            Self::Film(spec) => Some(&spec.simulator),
+            Self::HeapFilm(spec) => Some(&spec.simulator),
+            Self::EpisodeFilm(spec) => Some(&spec.simulator),
+            Self::Repose(_) => None,
         }
     }
 
@@ -273,7 +338,7 @@ impl JobSpec {
     pub fn read(text: &str) -> Result<Self, Unreadable> {
         match serde_json::from_str::<Numbered>(text)?.version {
             1 => Ok(serde_json::from_str(text)?),
-            2 => Ok(serde_json::from_str::<Versioned>(text)?.spec),
+            2..=VERSION => Ok(serde_json::from_str::<Versioned>(text)?.spec),
             other => Err(Unreadable::Newer(other)),
         }
     }
@@ -281,12 +346,15 @@ impl JobSpec {
     /// The lowest version that has the fields of this specification.
     fn version(&self) -> u32 {
         let is_new = match self {
+            Self::Film(_) => return 3,
+            Self::HeapFilm(_) => return 4,
+            Self::EpisodeFilm(_) => return 5,
             Self::Evaluation(spec) => spec.conditions.substep_us.is_some(),
             Self::Calibration(spec) => !spec.settings.fixed.is_empty() || !spec.patch.is_none(),
             Self::Investigation(spec) => spec.shakes.is_some(),
             _ => false,
         };
-        if is_new { VERSION } else { unnumbered() }
+        if is_new { 2 } else { unnumbered() }
     }
 
     /// Its canonical text and the text's SHA-256. Fields are written in the order of their
@@ -353,8 +421,8 @@ mod tests {
     #[test]
     fn a_newer_version_is_refused_by_its_number_and_damage_by_its_place() {
         let text = include_str!("spec/version_1.jsonl").lines().next().unwrap();
-        let newer = text.replacen('{', "{\"version\":3,", 1);
-        assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(3))));
+        let newer = text.replacen('{', "{\"version\":6,", 1);
+        assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(6))));
         let damaged = text.replace("\"target\"", "\"targeted\"");
         let error = JobSpec::read(&damaged).unwrap_err();
         assert!(error.to_string().contains("missing field `target`"), "{error}");

@@ -145,6 +145,10 @@ impl Recorder<'_> {
                     self.report(&record);
                 }
             }
+            Event::Kept { episode, policy } => {
+                let saved = self.host.save(Piece::Kept { episode, policy: &policy });
+                self.note(saved);
+            }
             Event::Checkpoint(bytes) => {
                 self.flush();
                 let saved = self.host.save_checkpoint(&bytes);

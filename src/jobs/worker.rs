@@ -7,7 +7,8 @@ use super::leased::LeasedJob;
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
 use super::{
-    Functions, Running, Shared, calibrate, evaluate, investigate, priority, repose, train,
+    Functions, Running, Shared, calibrate, episode_film, evaluate, film, investigate, priority,
+    repose, train,
 };
 use flip_core::domain::job::JobState;
 use flip_store::ledger::{Claim, Claimed, Lease};
@@ -162,6 +163,9 @@ fn perform(host: &dyn JobHost, functions: &Functions, claimed: &Claimed) -> Resu
         JobSpec::Evaluation(spec) => evaluate::perform(host, functions, &spec),
         JobSpec::Investigation(spec) => investigate::perform(host, functions, &spec),
         JobSpec::Repose(spec) => repose::perform(host, functions, &spec),
+        JobSpec::Film(spec) => film::perform(host, &spec),
+        JobSpec::HeapFilm(spec) => film::perform_heap(host, &spec),
+        JobSpec::EpisodeFilm(spec) => episode_film::perform(host, &spec),
     }
 }
 

@@ -118,7 +118,7 @@ async fn a_weighing_is_the_same_over_both_transports() {
 async fn powders_and_parameters_are_the_same_over_both_transports() {
     let service = Service::start().await;
     let mut powders = PowdersClient::new(channel(&service).await);
-    let page = proto::PageRequest { limit: Some(2), after: None };
+    let page = proto::PageRequest { limit: Some(2), ..Default::default() };
     let first = powders
         .list_powders(proto::ListPowdersRequest { page: Some(page) })
         .await
@@ -301,6 +301,7 @@ async fn health_and_reflection_know_every_service() {
         "Simulators",
         "Shakes",
         "Weighings",
+        "Films",
         "Bench",
         "ReposeMeasurements",
         "Jobs",

@@ -2,7 +2,7 @@
 
 use crate::toy::{Bench, Hold};
 use flip::api::{self, ServeConfig};
-use flip::app::{App, Functions, Options, Role};
+use flip::app::{App, Functions, Oidc, Options, Role};
 use flip_bench::rig::Rig;
 use reqwest::{Method, Response};
 use serde_json::Value;
@@ -40,21 +40,31 @@ impl Service {
     /// Starts on this bench, with salt ready to weigh.
     pub async fn ready_on(rig: Arc<dyn Rig>) -> Self {
         let config = ServeConfig::loopback("127.0.0.1:0".parse().unwrap());
-        let service = Self::start_with(config, Some(rig)).await;
+        let service = Self::start_with(config, Some(rig), None).await;
         crate::toy::calibrate_salt(service.data.path()).await;
         service
     }
 
     pub async fn start_at(config: ServeConfig) -> Self {
-        Self::start_with(config, None).await
+        Self::start_with(config, None, None).await
     }
 
-    async fn start_with(config: ServeConfig, rig: Option<Arc<dyn Rig>>) -> Self {
+    /// Starts with a provider of log-ins.
+    pub async fn start_beside(oidc: Oidc) -> Self {
+        let config = ServeConfig::loopback("127.0.0.1:0".parse().unwrap());
+        Self::start_with(config, None, Some(oidc)).await
+    }
+
+    async fn start_with(
+        config: ServeConfig,
+        rig: Option<Arc<dyn Rig>>,
+        oidc: Option<Oidc>,
+    ) -> Self {
         let data = TempDir::new().unwrap();
         let bench = Bench::default();
         let rig = rig.unwrap_or_else(|| Arc::new(bench.clone()));
         let functions = Functions { rig, ..bench.functions() };
-        let options = Options { functions, ..Options::default() };
+        let options = Options { functions, oidc, ..Options::default() };
         let app = App::open(data.path(), options).await.unwrap();
         let server = api::bind(app.clone(), config).unwrap();
         let address = server.address().unwrap();

@@ -2,15 +2,22 @@
 
 mod archive;
 mod asked;
+mod audit_search;
 mod authorization;
 mod characterisations;
+mod checklist;
 mod comparison;
 mod document;
+mod dose_list;
+mod films;
 mod grpc;
 mod harness;
 mod hold;
 mod investigations;
+mod labels;
 mod log;
+mod login;
+mod login_provider;
 mod measurements;
 mod protocol;
 mod record;

@@ -226,6 +226,7 @@ async fn measurements_and_observations_are_the_same_over_grpc() {
         sd: 1.0,
         n: 5,
         source: None,
+        measured_on: None,
     };
     for kind in kinds {
         powders.add_observation(as_operator(&service, observed(Some(kind))).await).await.unwrap();
@@ -455,10 +456,11 @@ async fn a_powder_is_registered_by_its_name_under_an_id_that_is_told() {
     assert_eq!(fields(&problem(post(json!({ "name": "?!" })).await, 400).await), ["name"]);
     problem(post(json!({ "name": "Salt" })).await, 409).await;
     let mut powders = PowdersClient::connect(service.url("")).await.unwrap();
-    let new =
-        proto::CreatePowderRequest {
-            id: String::new(), name: "食盐".into(), soluble: Some(true)
-        };
+    let new = proto::CreatePowderRequest {
+        name: "食盐".into(),
+        soluble: Some(true),
+        ..Default::default()
+    };
     let made = powders.create_powder(as_operator(&service, new).await).await.unwrap().into_inner();
     assert!(made.id.starts_with("p_") && made.name == "食盐", "{}", made.id);
     assert_eq!(made.soluble, Some(true));
@@ -481,4 +483,28 @@ async fn twenty_thousand_rows_are_taken_over_rest_and_grpc() {
         (&added["measurements"][0]["n"], &added["measurements"][1]["n"]),
         (&json!(10_000), &json!(10_000))
     );
+}
+
+#[tokio::test]
+async fn the_day_of_a_measurement_is_kept_told_and_exported() {
+    let service = Service::start().await;
+    let file = "powder,repose_deg,date\nsalt,30,2026-02-03\nsalt,32,3.2.2026\nsalt,40,2026-02-04\n";
+    let added: Value = import(&service, "", file).await.json().await.unwrap();
+    let of = |it: &Value| (it["measured_on"].clone(), it["n"].clone());
+    let days: Vec<_> = added["measurements"].as_array().unwrap().iter().map(of).collect();
+    assert_eq!(days, [(json!("2026-02-03"), json!(2)), (json!("2026-02-04"), json!(1))]);
+    let export = service.get("/v1/measurements.csv").await.text().await.unwrap();
+    assert!(export.lines().next().unwrap().ends_with(",source,date"), "{export}");
+    assert!(export.lines().any(|line| line.ends_with(",2026-02-04")), "{export}");
+    let again: Value = import(&service, "", file).await.json().await.unwrap();
+    assert_eq!(again["measurements"], json!([]), "it is stored already");
+    let refused =
+        problem(import(&service, "", "powder,repose_deg,date\nsalt,30,2/3/2026\n").await, 400)
+            .await;
+    assert_eq!(fields(&refused), ["row[2].date"]);
+    let verified: Value = service.get("/v1/audit/verification").await.json().await.unwrap();
+    assert_eq!(verified["broken"], Value::Null, "{verified}");
+    let wrong = json!({ "method": "manual", "repose_deg": 31, "measured_on": "yesterday" });
+    let refused = problem(post(&service, "/v1/powders/salt/measurements", &wrong).await, 400).await;
+    assert_eq!(fields(&refused), ["measured_on"]);
 }

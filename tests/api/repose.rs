@@ -87,6 +87,12 @@ async fn an_emulated_laboratory_piles_and_photographs_by_itself() {
         let files = pile["frames"].as_array().unwrap();
         assert_eq!((files.len(), pile["refusal"].is_null()), (10, true));
         assert!(pile["measured"]["tip"]["u_deg"].as_f64().unwrap() > 0.0);
+        // The apex is below the tip, and the base below the apex.
+        let down = |at: &serde_json::Value| at[1].as_f64().unwrap();
+        let outline = &pile["outline"];
+        assert_eq!(outline["size"], json!([848, 480]));
+        assert!(down(&outline["tip"]) < down(&outline["apex"]), "{outline}");
+        assert!(down(&outline["apex"]) < down(&outline["base"][0]), "{outline}");
     }
     let deg = found["result"]["repeats"]["tip"]["repose_deg"].as_f64().unwrap();
     // The toy's heap of the default set.
@@ -105,6 +111,8 @@ async fn an_emulated_laboratory_piles_and_photographs_by_itself() {
     // A raw frame is exactly the photographed one.
     let raw = service.get(&format!("{place}/piles/2/frames/10/depth")).await;
     assert_eq!(raw.status(), 200);
+    let headers = ["content-type", "x-content-type-options"];
+    assert_eq!(headers.map(|name| raw.headers()[name].to_str().unwrap()), ["image/png", "nosniff"]);
     assert!(raw.bytes().await.unwrap().starts_with(b"\x89PNG"));
     for missing in [
         "piles/3/frames/1/depth",

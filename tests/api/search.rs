@@ -86,6 +86,10 @@ async fn what_matches_is_what_a_reading_of_all_weighings_finds() {
         ("operator=100%25", is("/asked/operator", "100%")),
         ("bench=devices", is("/bench", "devices")),
         ("outcome=over", is("/outcome", "over")),
+        (
+            "outside=true",
+            Box::new(|it| matches!(text(it, "/outcome").as_deref(), Some("over" | "under"))),
+        ),
         ("state=aborted", is("/state", "aborted")),
         ("policy=none", Box::new(|_| false)),
         (
@@ -121,6 +125,21 @@ async fn what_matches_is_what_a_reading_of_all_weighings_finds() {
         assert_eq!(total, expected.len(), "{query}");
         assert!(total > 0 || query == "policy=none", "{query}: a filter that nothing passes");
     }
+    service.stop().await;
+}
+
+#[tokio::test]
+async fn words_are_looked_for_in_the_names_that_doses_were_given() {
+    let service = crowded().await;
+    let token = service.token(flip::app::Role::Operator).await;
+    let put = service.request("PUT", "/v1/labels/weighing/w0007").bearer_auth(token);
+    let put = put.json(&serde_json::json!({ "name": "Reference 100%" })).send().await.unwrap();
+    assert!(put.status().is_success(), "{}", put.status());
+    for query in ["q=REFERENCE", "q=ence", "q=w0007%20reference"] {
+        let (got, total) = found(&service, query, 200).await;
+        assert_eq!((ids(&got), total), (vec!["w0007"], 1), "{query}");
+    }
+    assert_eq!(found(&service, "q=reference%20none", 200).await.1, 0);
     service.stop().await;
 }
 

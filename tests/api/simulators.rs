@@ -178,7 +178,10 @@ async fn versions_are_the_same_over_grpc() {
     let base = client.predict(as_operator(&service, ask("current")).await).await.unwrap_err();
     assert_eq!(base.code(), Code::InvalidArgument, "{base}");
     assert!(base.message().contains("simulator"), "{base}");
-    let choice = proto::ChooseSimulatorRequest { simulator: version.clone() };
+    let choice = proto::ChooseSimulatorRequest {
+        simulator: version.clone(),
+        reason: Some("predicts humid days".into()),
+    };
     let now =
         client.choose_simulator(as_operator(&service, choice).await).await.unwrap().into_inner();
     assert_eq!((now.simulator.as_str(), now.before()), (version.as_str(), "base"));
@@ -200,9 +203,10 @@ async fn versions_are_the_same_over_grpc() {
         (of_rest["simulator"].clone(), of_rest["base"].clone())
     );
     assert_eq!(
-        (of_grpc.before(), of_grpc.chosen_at),
-        (of_rest["before"].as_str().unwrap(), now.chosen_at)
+        (of_grpc.before(), of_grpc.reason(), of_grpc.chosen_at),
+        (of_rest["before"].as_str().unwrap(), "predicts humid days", now.chosen_at)
     );
+    assert_eq!(of_rest["reason"], "predicts humid days");
 }
 
 #[tokio::test]
@@ -213,7 +217,7 @@ async fn grpc_refuses_what_rest_refuses() {
     let missing =
         client.get_simulator(proto::GetSimulatorRequest { id: none() }).await.unwrap_err();
     assert_eq!(missing.code(), Code::NotFound);
-    let choice = || proto::ChooseSimulatorRequest { simulator: none() };
+    let choice = || proto::ChooseSimulatorRequest { simulator: none(), reason: None };
     let unknown = client.choose_simulator(as_operator(&service, choice()).await).await.unwrap_err();
     assert_eq!(unknown.code(), Code::InvalidArgument, "{unknown}");
     let anonymous = client.choose_simulator(choice()).await.unwrap_err();

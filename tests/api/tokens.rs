@@ -5,7 +5,8 @@ use crate::harness::{Service, problem};
 use flip::api::grpc::proto::tokens_client::TokensClient;
 use flip::api::grpc::proto::weighings_client::WeighingsClient;
 use flip::api::grpc::proto::{
-    CreateTokenRequest, ListTokensRequest, RevokeTokenRequest, Role as WireRole, WatchRequest,
+    CreateTokenRequest, GetIdentityRequest, ListTokensRequest, RevokeTokenRequest,
+    Role as WireRole, WatchRequest,
 };
 use flip::app::{App, NewToken, Role, Who, acting};
 use serde_json::{Value, json};
@@ -258,4 +259,41 @@ async fn grpc_makes_lists_and_ends_tokens_for_admins_alone() {
         client.create_token(with_token(&admin, unknown)).await.unwrap_err().code(),
         Code::InvalidArgument
     );
+}
+
+#[tokio::test]
+async fn every_caller_learns_who_it_is() {
+    let service = Service::start().await;
+    let me = async |token: Option<&str>| -> serde_json::Value {
+        let request = service.request("GET", "/v1/me");
+        let request = match token {
+            Some(token) => request.bearer_auth(token),
+            None => request,
+        };
+        request.send().await.unwrap().json().await.unwrap()
+    };
+    let nobody = me(None).await;
+    assert_eq!((&nobody["role"], &nobody["name"]), (&json!("viewer"), &json!(null)));
+    let new = NewToken {
+        name: "Ada".into(),
+        role: Role::Operator,
+        may_clear: true,
+        expires_in_s: Some(3600),
+    };
+    let (entry, secret) = service.app.make_token(&new).await.unwrap();
+    let ada = me(Some(&secret)).await;
+    assert_eq!(
+        (&ada["token"], &ada["name"], &ada["role"], &ada["may_clear"]),
+        (&json!(entry.id), &json!("Ada"), &json!("operator"), &json!(true))
+    );
+    assert_eq!(ada["expires_at"], json!(entry.expires_at));
+    let mut client = TokensClient::connect(service.url("")).await.unwrap();
+    let of_grpc =
+        client.get_identity(with_token(&secret, GetIdentityRequest {})).await.unwrap().into_inner();
+    assert_eq!(
+        (of_grpc.name(), of_grpc.role(), of_grpc.may_clear),
+        ("Ada", WireRole::Operator, true)
+    );
+    let unknown = service.request("GET", "/v1/me").bearer_auth("flip_0_0").send().await.unwrap();
+    assert_eq!(unknown.status(), 401);
 }

@@ -3,7 +3,9 @@
 
 use crate::harness::{calibrated, mg, open, open_in, until};
 use crate::weighing::{Gate, done};
-use flip::app::{App, ClearRequest, Error, PageQuery, ReservationRequest, ResumeRequest};
+use flip::app::{
+    App, AuditAsked, ClearRequest, Error, PageQuery, ReservationRequest, ResumeRequest,
+};
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use sqlx::SqlitePool;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -41,7 +43,7 @@ pub async fn another_program(folder: &Path) -> SqlitePool {
 
 /// What people did to the bench, oldest first.
 async fn persons(app: &App) -> Vec<String> {
-    let records = app.audit(None, PageQuery::first(200)).await.unwrap().items;
+    let records = app.audit(AuditAsked::default(), PageQuery::first(200)).await.unwrap().page.items;
     let said = records.into_iter().rev().filter(|record| record.kind == "person");
     let deeds = said.map(|record| record.body["action"].as_str().unwrap().to_owned());
     deeds.filter(|deed| deed != "start calibration").collect()

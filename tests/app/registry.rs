@@ -16,6 +16,7 @@ fn measurement(repose_deg: f64, method: Method) -> NewMeasurement {
         base_diameters_mm: None,
         funnel_height_mm: None,
         source: None,
+        measured_on: None,
     }
 }
 
@@ -38,9 +39,14 @@ async fn the_published_powders_are_there_with_both_measurements() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_newest_automated_measurement_is_the_one_to_aim_at() {
     let (_folder, app) = open(functions()).await;
-    app.create_powder(NewPowder { id: "flour".into(), name: "Flour".into(), soluble: None })
-        .await
-        .unwrap();
+    app.create_powder(NewPowder {
+        id: "flour".into(),
+        name: "Flour".into(),
+        soluble: None,
+        measurement: None,
+    })
+    .await
+    .unwrap();
     let aim = async || app.powder("flour").await.unwrap().powder.flowability.map(|f| f.repose_deg);
     assert_eq!(aim().await, None);
     for (repose_deg, method, expected) in [
@@ -59,7 +65,13 @@ async fn the_newest_automated_measurement_is_the_one_to_aim_at() {
 async fn powders_that_are_taken_or_misnamed_and_impossible_measurements_are_refused() {
     let (_folder, app) = open(functions()).await;
     let create = async |id: &str, name: &str| {
-        app.create_powder(NewPowder { id: id.into(), name: name.into(), soluble: None }).await
+        app.create_powder(NewPowder {
+            id: id.into(),
+            name: name.into(),
+            soluble: None,
+            measurement: None,
+        })
+        .await
     };
     assert!(matches!(
         create("sand", "Sand").await,
@@ -84,7 +96,8 @@ async fn lists_are_read_page_by_page_without_a_gap() {
     let mut seen = Vec::new();
     let mut after = None;
     loop {
-        let page = app.powders(PageQuery { limit: Some(2), after }).await.unwrap();
+        let page =
+            app.powders(PageQuery { limit: Some(2), after, ..PageQuery::default() }).await.unwrap();
         seen.extend(page.items.into_iter().map(|powder| powder.id));
         after = page.next;
         if after.is_none() {
@@ -123,7 +136,12 @@ async fn a_folder_in_use_is_refused_for_writing_and_open_for_reading() {
     let reader = App::open_to_read(folder.path()).await.unwrap();
     assert_eq!(reader.powders(PageQuery::default()).await.unwrap().items.len(), 5);
     let write = reader
-        .create_powder(NewPowder { id: "flour".into(), name: "Flour".into(), soluble: None })
+        .create_powder(NewPowder {
+            id: "flour".into(),
+            name: "Flour".into(),
+            soluble: None,
+            measurement: None,
+        })
         .await;
     assert!(matches!(write, Err(Error::Unavailable(_))), "{write:?}");
     app.shutdown().await.unwrap();

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use std::path::Path;
 
 /// A salt that needs no calibration.
-fn calibrated(data_dir: &Path) {
+pub fn calibrated(data_dir: &Path) {
     expect_status(&flip(data_dir, &["bench", "status"]), 0);
     let set = ParameterSet::default();
     let job = "INSERT INTO job (id, kind, spec, spec_sha256, state, result, created_at, finished_at) \

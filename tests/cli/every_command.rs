@@ -3,7 +3,7 @@
 use crate::harness::{document, expect_status, flip, stderr};
 use serde_json::Value;
 
-const COMMANDS: [&str; 24] = [
+const COMMANDS: [&str; 25] = [
     "serve",
     "demo",
     "repose",
@@ -20,6 +20,7 @@ const COMMANDS: [&str; 24] = [
     "policy",
     "weigh",
     "characterise",
+    "film",
     "jobs",
     "token",
     "backup",
@@ -84,7 +85,7 @@ fn a_fresh_data_folder_is_made_and_seeded_by_whatever_comes_first() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 33] = [
+    let cases: [(&[&str], &str); 36] = [
         (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
@@ -116,6 +117,9 @@ fn bad_input_exits_2_and_names_the_field() {
         ),
         (&["weigh", "--powder", "salt", "--target-mg", "-5"], "target_mg"),
         (&["weigh", "--powder", "chalk", "--target-mg", "5"], "powder"),
+        (&["weigh", "--powder", "salt"], "--target-mg"),
+        (&["weigh", "--list", "nowhere.csv"], "list: nowhere.csv cannot be read"),
+        (&["weigh", "--list", "x.csv", "--powder", "salt"], "--powder"),
         (&["serve", "--listen", "0.0.0.0:0"], "listen: 0.0.0.0:0"),
         (&["policy", "show", "--policy", "p-0"], "policy: there is no policy"),
         (&["policy", "infer", "--file", "gone.safetensors", "--stdin"], "file: gone.safetensors"),

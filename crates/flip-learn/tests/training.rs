@@ -85,6 +85,7 @@ fn begin(settings: &Settings, start: Start<'_>) -> (Trained, Vec<EpisodeRecord>,
         match event {
             Event::Episode(record) => episodes.push(*record),
             Event::Checkpoint(bytes) => checkpoints.push(bytes),
+            Event::Kept { .. } => {}
         }
         ControlFlow::Continue(())
     });
@@ -228,7 +229,7 @@ fn a_stop_finishes_its_round_and_hands_over_a_checkpoint() {
                 seen.push(*record);
                 if seen.len() == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             }
-            Event::Checkpoint(_) => ControlFlow::Continue(()),
+            Event::Checkpoint(_) | Event::Kept { .. } => ControlFlow::Continue(()),
         });
     let Err(TrainError::Stopped { checkpoint }) = stopped else { panic!("{stopped:?}") };
     assert_eq!(seen, episodes[..8], "a round of four is reported whole");
@@ -257,6 +258,43 @@ fn a_stop_within_a_round_drops_the_round_and_loses_nothing() {
     assert_eq!(seen, episodes[..8]);
     let (resumed, rest, _) = run(&settings, Some(&checkpoint));
     assert_eq!((resumed, rest), (unbroken, episodes[8..].to_vec()));
+}
+
+/// The networks that a training keeps, by the number of their episode.
+fn kept(settings: &Settings, start: Start<'_>) -> Vec<(u32, Vec<u8>)> {
+    let mut kept = Vec::new();
+    let trained = train_on(&FORMULA, &levels(), settings, start, &GO_ON, |event| {
+        if let Event::Kept { episode, policy } = event {
+            kept.push((episode, policy));
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(trained.is_ok(), "{trained:?}");
+    kept
+}
+
+#[test]
+fn the_networks_of_the_first_and_tenth_episode_are_kept_and_those_of_later_ones_when_resumed() {
+    for settings in kinds() {
+        let networks = kept(&settings, Start::Nothing);
+        assert_eq!(kept(&settings, Start::Nothing), networks, "the same bytes");
+        let episodes: Vec<u32> = networks.iter().map(|(episode, _)| *episode).collect();
+        assert_eq!(episodes, [1, 10], "100 and 1000 are beyond its 26 episodes");
+        let policies: Vec<_> = networks.iter().map(|(_, bytes)| decode(bytes).unwrap()).collect();
+        assert!(matches!(policies[0].controller, Controller::Learned(_)));
+        // A round of four begins with the ninth episode: the tenth is played with what it knows.
+        assert_eq!(policies[0].manifest.episodes, 0);
+        assert_eq!(policies[1].manifest.episodes, 8);
+        assert_ne!(policies[0].controller, policies[1].controller);
+        let (_, _, checkpoints) = run(&settings, None);
+        // After 8 episodes on the simulator, or when the surrogate's are over.
+        let resumed = kept(&settings, Start::Checkpoint(&checkpoints[0]));
+        assert!(networks.ends_with(&resumed) && resumed.len() < 2, "{}", resumed.len());
+    }
+    // The last is the policy.
+    let short = Settings { episodes: 10, ..small(Order::Curriculum) };
+    let episodes: Vec<u32> = kept(&short, Start::Nothing).iter().map(|(n, _)| *n).collect();
+    assert_eq!(episodes, [1]);
 }
 
 #[test]

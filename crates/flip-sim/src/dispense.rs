@@ -5,6 +5,7 @@
 //! as in the vial if it hits the mouth.
 
 use super::constraints::{Vector, vector};
+use super::film::Recorder;
 use super::grains::{Departure, Grains};
 use super::law::{Law, SUBSTEP_S};
 use super::mechanisms::{Extensions, Site};
@@ -123,15 +124,41 @@ pub struct Dispenser {
     fault: Option<String>,
     substeps: u32,
     camera: Option<Camera>,
+    recorder: Option<Recorder>,
 }
 
-/// Pose of the spoon at one moment, for grains that leave it.
+/// Pose of the spoon at one moment.
 #[derive(Debug, Clone, Copy, Default)]
-struct Pose {
-    pitch_rad: f64,
+pub(super) struct Pose {
+    pub pitch_rad: f64,
     /// Position and velocity along the spoon's axis, m and m/s.
-    shift_m: f64,
-    shift_m_s: f64,
+    pub shift_m: f64,
+    pub shift_m_s: f64,
+}
+
+/// A grain that has left the spoon and falls freely: along the spoon's length at rest, across it,
+/// and up from the middle of the level rim.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Flight {
+    /// Position at departure, m.
+    pub at_m: [f64; 3],
+    /// Velocity at departure, m/s.
+    pub speed_m_s: [f64; 3],
+}
+
+impl Pose {
+    /// The flight of a grain that departs from a spoon in this pose.
+    fn flight(self, departure: &Departure, law: &Law) -> Flight {
+        let metres = |v: Vector| [0, 1, 2].map(|k| f64::from(v[k]) * law.diameter_m);
+        let x = metres(departure.x);
+        let v = metres(departure.v).map(|d| d / law.substep_s);
+        let (sin, cos) = libm::sincos(self.pitch_rad);
+        // The spoon's frame is rotated about its width and shifted along its own axis.
+        let room = |along: f64, up: f64| [along * cos + up * sin, -along * sin + up * cos];
+        let [at_x, at_z] = room(x[0] + self.shift_m, x[2]);
+        let [speed_x, speed_z] = room(v[0] + self.shift_m_s, v[2]);
+        Flight { at_m: [at_x, x[1], at_z], speed_m_s: [speed_x, v[1], speed_z] }
+    }
 }
 
 /// Substeps between two checks for departed grains and for rest.
@@ -164,6 +191,7 @@ impl Dispenser {
             fault: None,
             substeps: 0,
             camera: None,
+            recorder: None,
         }
     }
 
@@ -190,6 +218,26 @@ impl Dispenser {
     /// Lets a camera watch the grains in the spoon from now on, in the spoon's frame.
     pub fn watch(&mut self, camera: Camera) {
         self.camera = Some(camera);
+    }
+
+    /// Records the grains from now on.
+    pub(super) fn record(&mut self, every_s: f64, most: usize) {
+        let mut recorder = Recorder::new(every_s, most, self.substeps, &self.law);
+        let pose = self.standing();
+        recorder.look(&self.grains, &self.law, pose, self.substeps);
+        self.recorder = Some(recorder);
+    }
+
+    /// What was recorded, with the grains as they lie now at its end.
+    pub(super) fn recorded(&mut self) -> Option<Recorder> {
+        let (pose, substeps) = (self.standing(), self.substeps);
+        let mut recorder = self.recorder.take()?;
+        recorder.end(&self.grains, &self.law, pose, substeps);
+        Some(recorder)
+    }
+
+    fn standing(&self) -> Pose {
+        Pose { pitch_rad: self.pitch_deg.to_radians(), ..Pose::default() }
     }
 
     /// Rains grains from a loose lattice over the middle of the bowl; those that roll off while
@@ -298,7 +346,7 @@ impl Dispenser {
 
     /// Waits until the powder rests; returns the time taken, s.
     fn rest(&mut self, limit_s: f64) -> f64 {
-        let pose = Pose { pitch_rad: self.pitch_deg.to_radians(), ..Pose::default() };
+        let pose = self.standing();
         let (limit, quiet) = (self.law.substeps(limit_s), self.law.substeps(REST_S));
         let (mut spent, mut calm) = (0, 0);
         while spent < limit && calm < quiet && self.fault.is_none() {
@@ -328,6 +376,9 @@ impl Dispenser {
                 camera.look(&self.grains, &self.law, self.substeps);
             }
             self.substeps += 1;
+            if let Some(recorder) = &mut self.recorder {
+                recorder.look(&self.grains, &self.law, pose, self.substeps);
+            }
         }
         if self.fault.is_none() {
             self.fault = self.grains.fault();
@@ -336,29 +387,33 @@ impl Dispenser {
 
     fn collect(&mut self, pose: Pose) {
         for departure in self.grains.take_departed(&Shape::Bowl(self.bowl)) {
-            match self.meets_the_mouth(departure, pose) {
+            let flight = pose.flight(&departure, &self.law);
+            let meets = self.meets_the_mouth(flight);
+            match meets {
                 true => self.vial += departure.mass(),
                 false => self.spilled += departure.mass(),
+            }
+            if let Some(recorder) = &mut self.recorder {
+                recorder.falls(departure.id, flight, meets, self.substeps);
             }
         }
     }
 
     /// Whether free fall from the point of departure hits the vial's mouth.
-    fn meets_the_mouth(&self, departure: Departure, pose: Pose) -> bool {
-        let metres = |v: Vector| [0, 1, 2].map(|k| f64::from(v[k]) * self.law.diameter_m);
-        let x = metres(departure.x);
-        let v = metres(departure.v).map(|d| d / self.law.substep_s);
-        let (sin, cos) = libm::sincos(pose.pitch_rad);
-        // The spoon's frame is rotated about its width and shifted along its own axis.
-        let room = |along: f64, up: f64| [along * cos + up * sin, -along * sin + up * cos];
-        let [at_x, at_z] = room(x[0] + pose.shift_m, x[2]);
-        let [speed_x, speed_z] = room(v[0] + pose.shift_m_s, v[2]);
-        let height = at_z + self.settings.drop_height_mm * 1e-3;
+    fn meets_the_mouth(&self, Flight { at_m, speed_m_s }: Flight) -> bool {
+        let height = at_m[2] + self.settings.drop_height_mm * 1e-3;
         let g = super::law::GRAVITY;
-        let fall = (speed_z + (speed_z * speed_z + 2.0 * g * height.max(0.0)).sqrt()) / g;
-        let miss_x = at_x + speed_x * fall - self.settings.vial_offset_mm * 1e-3;
-        let miss_y = x[1] + v[1] * fall;
+        let rise = speed_m_s[2];
+        let fall = (rise + (rise * rise + 2.0 * g * height.max(0.0)).sqrt()) / g;
+        let miss_x = at_m[0] + speed_m_s[0] * fall - self.settings.vial_offset_mm * 1e-3;
+        let miss_y = at_m[1] + speed_m_s[1] * fall;
         libm::hypot(miss_x, miss_y) <= self.settings.vial_radius_mm * 1e-3
+    }
+
+    /// The grains in it.
+    #[cfg(test)]
+    pub(super) fn grains(&self) -> &Grains {
+        &self.grains
     }
 
     /// The range of its pitch.

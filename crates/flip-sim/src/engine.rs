@@ -59,9 +59,9 @@ pub(super) trait Engine {
 
 /// The simulator's own solver; one step is a substep.
 pub(super) struct Physical {
-    law: Law,
-    plate: Shape,
-    grains: Grains,
+    pub law: Law,
+    pub plate: Shape,
+    pub grains: Grains,
     /// Height from which the heap is measured.
     floor: f32,
 }

@@ -14,10 +14,26 @@ pub(super) fn sector(at: [f64; 2]) -> usize {
 /// Side of a pixel of the height map, grain diameters.
 const PIXEL: f64 = 0.25;
 
-/// Slope of the flank as seen by a depth camera from above: the mean surface height of every
-/// one-diameter ring in each sector, a least-squares line through the rings between 20 % and 80 %
-/// of the apex height, and the mean slope of the sectors as an angle, degrees.
+/// The cone through the flank of a heap.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Cone {
+    /// Its slope, degrees.
+    pub deg: f64,
+    /// Height of its point, grain diameters.
+    pub height: f64,
+    /// What it was fitted to: sector, mean radius and mean height of a ring, grain diameters.
+    pub rings: Vec<(usize, [f64; 2])>,
+}
+
+/// [`cone`]'s slope alone.
 pub(super) fn cone_deg(x: &[Vector], base_radius: f64) -> f64 {
+    cone(x, base_radius).deg
+}
+
+/// The flank as seen by a depth camera from above: the mean surface height of every one-diameter
+/// ring in each sector, a least-squares line through the rings between 20 % and 80 % of the apex
+/// height, and the mean line of the sectors.
+pub(super) fn cone(x: &[Vector], base_radius: f64) -> Cone {
     let rings = base_radius.ceil() as usize;
     let mut profile = vec![Ring::default(); SECTORS * rings];
     let mut apex = 0.0f64;
@@ -39,10 +55,15 @@ pub(super) fn cone_deg(x: &[Vector], base_radius: f64) -> f64 {
         let points = seen.map(|ring| [ring.radius / ring.pixels, ring.height / ring.pixels]);
         points.filter(|point| flank.contains(&point[1])).collect()
     };
-    let slopes: Vec<f64> =
-        profile.chunks(rings).filter_map(|sector| slope(&means(sector))).collect();
-    let mean = slopes.iter().sum::<f64>() / slopes.len().max(1) as f64;
-    libm::atan(-mean).to_degrees()
+    let sectors: Vec<Vec<[f64; 2]>> = profile.chunks(rings).map(means).collect();
+    let lines: Vec<[f64; 2]> = sectors.iter().filter_map(|points| line(points)).collect();
+    let mean = |k: usize| lines.iter().map(|l| l[k]).sum::<f64>() / lines.len().max(1) as f64;
+    let used = sectors.into_iter().enumerate().filter(|(_, points)| line(points).is_some());
+    Cone {
+        deg: libm::atan(-mean(0)).to_degrees(),
+        height: mean(1),
+        rings: used.flat_map(|(k, points)| points.into_iter().map(move |p| (k, p))).collect(),
+    }
 }
 
 /// Sums over the pixels of one ring in one sector.
@@ -79,8 +100,9 @@ pub(super) fn surface(x: &[Vector], base_radius: f64) -> impl Iterator<Item = ([
     top.into_iter().enumerate().filter(|(_, z)| z.is_finite()).map(move |(k, z)| (position(k), z))
 }
 
-/// Least-squares slope of height over radius; `None` for fewer than three points or without spread.
-fn slope(points: &[[f64; 2]]) -> Option<f64> {
+/// Least-squares slope of height over radius, and the height at the axis; `None` for fewer than three
+/// points or without spread.
+fn line(points: &[[f64; 2]]) -> Option<[f64; 2]> {
     let n = points.len() as f64;
     if n < 3.0 {
         return None;
@@ -88,7 +110,8 @@ fn slope(points: &[[f64; 2]]) -> Option<f64> {
     let mean = |k: usize| points.iter().map(|p| p[k]).sum::<f64>() / n;
     let (r, z) = (mean(0), mean(1));
     let spread: f64 = points.iter().map(|p| (p[0] - r) * (p[0] - r)).sum();
-    (spread > 1e-9).then(|| points.iter().map(|p| (p[0] - r) * (p[1] - z)).sum::<f64>() / spread)
+    let slope = points.iter().map(|p| (p[0] - r) * (p[1] - z)).sum::<f64>() / spread;
+    (spread > 1e-9).then_some([slope, z - slope * r])
 }
 
 #[cfg(test)]
@@ -109,7 +132,11 @@ mod tests {
                     }
                 }
             }
-            assert!((cone_deg(&x, 10.0) - angle).abs() < 0.5, "{} for {angle}", cone_deg(&x, 10.0));
+            let cone = cone(&x, 10.0);
+            assert!((cone.deg - angle).abs() < 0.5, "{} for {angle}", cone.deg);
+            // Its point is where that of the grains' cone is.
+            assert!((cone.height - 10.0 * slope).abs() < 0.7, "{} for {angle}", cone.height);
+            assert!(cone.rings.len() >= 3 * SECTORS, "{}", cone.rings.len());
         }
     }
 }

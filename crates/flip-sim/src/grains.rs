@@ -53,6 +53,8 @@ pub(super) struct Grains {
 /// A grain that left the scene.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Departure {
+    /// Id.
+    pub id: u32,
     /// Centre when it was removed.
     pub x: Vector,
     /// Velocity when it was removed.
@@ -391,7 +393,7 @@ impl Grains {
         let mut kept = 0;
         for i in 0..self.n {
             if wall.has_left(self.x[i]) {
-                departed.push((self.id[i], Departure { x: self.x[i], v: self.v[i] }));
+                departed.push(Departure { id: self.id[i], x: self.x[i], v: self.v[i] });
                 continue;
             }
             for column in self.columns() {
@@ -406,8 +408,8 @@ impl Grains {
         self.n = kept;
         self.id.truncate(kept);
         self.listed.truncate(kept);
-        departed.sort_unstable_by_key(|(id, _)| *id);
-        departed.into_iter().map(|(_, departure)| departure).collect()
+        departed.sort_unstable_by_key(|departure| departure.id);
+        departed
     }
 
     /// Mass of all grains, relative to a mean grain.

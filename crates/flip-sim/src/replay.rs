@@ -8,9 +8,11 @@ use super::repose::Refusal;
 use flip_core::domain::motion::{MotionLimits, Move};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::shake::{Shake, Spoonful};
+use serde::{Deserialize, Serialize};
 
 /// One step: the pitch, then the shake.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Step {
     /// Pitch, degrees; positive is tip down.
     pub pitch_deg: f64,
@@ -19,11 +21,13 @@ pub struct Step {
     /// Number of strokes.
     pub strokes: u32,
     /// Largest acceleration of the stroke, m/s^2; `None`: by the spoon's settings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acceleration_m_s2: Option<f64>,
 }
 
 /// A spoonful to make again.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Replay {
     /// The powder.
     pub set: ParameterSet,
@@ -101,7 +105,7 @@ pub fn replay(of: &Replay) -> Result<Replayed, Refusal> {
 
 /// The limits of a stroke whose largest acceleration was recorded: the usual move of this length,
 /// so much faster or slower.
-fn limits(step: &Step, usual: MotionLimits) -> MotionLimits {
+pub(super) fn limits(step: &Step, usual: MotionLimits) -> MotionLimits {
     let usual_m_s2 = Move::new(step.shake_mm * 1e-3, usual).peak_m_s2();
     match step.acceleration_m_s2 {
         Some(most_m_s2) if usual_m_s2 > 0.0 => usual.at_speed((most_m_s2 / usual_m_s2).sqrt()),

@@ -7,7 +7,7 @@
 
 use super::constraints::{Vector, vector};
 use super::engine::{Engine, Physical, Physx};
-use super::flank::{SECTORS, cone_deg, sector};
+use super::flank::{Cone, SECTORS, cone, cone_deg, sector};
 use super::law::{Law, SUBSTEP_S};
 use super::mechanisms::Extensions;
 use super::physx;
@@ -220,6 +220,19 @@ pub fn pile(
             Heap { engine: Physx::new(set, settings), settings, steps: 0, camera }.run(seed)
         }
     }
+}
+
+/// The heap of an engine, and the cone through its flank, after a single reading.
+pub(super) fn heap_of<E: Engine>(
+    engine: E,
+    settings: &Settings,
+    seed: u64,
+) -> Result<(Repose, Cone, E), Refusal> {
+    let mut heap = Heap { engine, settings, steps: 0, camera: None };
+    heap.pour(seed)?;
+    heap.settle()?;
+    let repose = heap.measure()?;
+    Ok((repose, cone(&heap.engine.heap(), settings.base_radius_diameters), heap.engine))
 }
 
 struct Heap<'a, E> {

@@ -298,6 +298,18 @@ pub(super) async fn count(connection: &mut SqliteConnection) -> Result<i64> {
     Ok(sqlx::query_scalar("SELECT count(*) FROM audit_away").fetch_one(connection).await?)
 }
 
+/// Number of records in members; of one weighing if given.
+pub(super) async fn count_records(
+    connection: &mut SqliteConnection,
+    weighing: Option<&str>,
+) -> Result<i64> {
+    if !are_kept(connection).await? {
+        return Ok(0);
+    }
+    let sql = "SELECT coalesce(sum(last - first + 1), 0) FROM audit_away WHERE ?1 IS NULL OR weighing = ?1";
+    Ok(sqlx::query_scalar(sql).bind(weighing).fetch_one(connection).await?)
+}
+
 /// How the table's entry for a file differs from the record that names it, even if the file is
 /// gone.
 pub(super) async fn not_as_named(

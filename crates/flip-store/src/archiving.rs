@@ -15,6 +15,8 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
 use std::collections::HashSet;
 
+/// Kinds of the records that are moved: none of them is of a person.
+pub(super) const KINDS: [&str; 5] = ["state", "sent", "received", "reading", "decision"];
 /// Records per file. Recording of a dose waits while this many rows are deleted.
 const RECORDS_MAX: i64 = 10_000;
 /// Records moved for a weighing that ended before a given day. Its intent, its outcome and people's

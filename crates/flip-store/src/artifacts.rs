@@ -1,4 +1,4 @@
-//! Content-addressed bytes: checkpoints and traces are files named by their SHA-256, written before
+//! Content-addressed bytes: checkpoints, traces and films are files named by their SHA-256, written before
 //! the row that names them.
 
 use super::{Error, Result, Store};
@@ -18,6 +18,7 @@ const SWEPT_MAX: usize = 100;
 /// Every file named by a row.
 pub(super) const NAMED: &str = "SELECT checkpoint FROM job WHERE checkpoint IS NOT NULL \
     UNION SELECT result ->> '$.posterior' FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' IS NOT NULL \
+    UNION SELECT result ->> '$.sha256' FROM job WHERE kind = 'film' AND result ->> '$.sha256' IS NOT NULL \
     UNION SELECT trace FROM weighing WHERE trace IS NOT NULL \
     UNION SELECT json_tree.atom FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom IS NOT NULL";
 
@@ -133,6 +134,7 @@ impl Store {
     pub(super) async fn forget_artifact(&self, sha256: &str) -> Result<()> {
         let sql = "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = ?1 \
              UNION SELECT 1 FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' = ?1 \
+             UNION SELECT 1 FROM job WHERE kind = 'film' AND result ->> '$.sha256' = ?1 \
              UNION SELECT 1 FROM weighing WHERE trace = ?1 \
              UNION SELECT 1 FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom = ?1)";
         let named: bool = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;

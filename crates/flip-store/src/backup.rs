@@ -349,6 +349,8 @@ mod tests {
                 expires_at,
                 revoked_at,
                 last_used_at,
+                issuer: None,
+                subject: None,
             };
             tx.insert_token(&HashedToken { entry, sha256: vec![7; 32] }).await.unwrap();
         }

@@ -16,6 +16,8 @@ pub struct Choice {
     pub version: Option<String>,
     /// When it was made.
     pub chosen_at: Timestamp,
+    /// Why, if anyone said so.
+    pub reason: Option<String>,
 }
 
 /// Contents of the event of a choice.
@@ -23,6 +25,8 @@ pub struct Choice {
 struct Chosen<'a> {
     version: Option<&'a str>,
     before: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<&'a str>,
 }
 
 impl Store {
@@ -35,8 +39,13 @@ impl Store {
 }
 
 impl Tx {
-    /// Choose an existing version, or the base. Choosing the current version changes nothing.
-    pub async fn choose_simulator(&mut self, version: Option<&str>) -> Result<()> {
+    /// Choose an existing version, or the base, for this reason. Choosing the current version
+    /// changes nothing.
+    pub async fn choose_simulator(
+        &mut self,
+        version: Option<&str>,
+        reason: Option<&str>,
+    ) -> Result<()> {
         let newest = "SELECT * FROM current_simulator ORDER BY seq DESC LIMIT 1";
         let newest = sqlx::query(newest)
             .fetch_optional(&mut *self.inner)
@@ -48,9 +57,14 @@ impl Tx {
         if before.as_deref() == version {
             return Ok(());
         }
-        let sql = "INSERT INTO current_simulator (version, chosen_at) VALUES (?1, ?2)";
-        sqlx::query(sql).bind(version).bind(now().unix_ms()).execute(&mut *self.inner).await?;
-        let chosen = Chosen { version, before: before.as_deref() };
+        let sql = "INSERT INTO current_simulator (version, chosen_at, reason) VALUES (?1, ?2, ?3)";
+        sqlx::query(sql)
+            .bind(version)
+            .bind(now().unix_ms())
+            .bind(reason)
+            .execute(&mut *self.inner)
+            .await?;
+        let chosen = Chosen { version, before: before.as_deref(), reason };
         self.audit_deed(
             None,
             "choose simulator",
@@ -63,5 +77,9 @@ impl Tx {
 }
 
 fn choice(row: &SqliteRow) -> Result<Choice> {
-    Ok(Choice { version: row.plain("version")?, chosen_at: row.time("chosen_at")? })
+    Ok(Choice {
+        version: row.plain("version")?,
+        chosen_at: row.time("chosen_at")?,
+        reason: row.plain("reason")?,
+    })
 }

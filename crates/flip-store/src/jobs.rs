@@ -1,25 +1,44 @@
 //! Jobs as seen by callers: created, listed, cancelled. The workers' side is in `ledger.rs`.
 
+use super::labels::shown;
 use super::page::{Page, Window};
-use super::row::{Columns, word};
-use super::{Result, Store, Tx};
-use flip_core::domain::job::{JobKind, JobState, Progress};
+use super::row::{Columns, json, word};
+use super::{Result, Store, Tx, now};
+use flip_core::domain::job::{JobKind, JobState, Progress, Subject, seconds_left};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
+use std::time::Duration;
 
 /// A job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Job {
-    /// Id; a calibration, training, evaluation, investigation or measurement of the angle of repose
-    /// has the id of its job.
+    /// Id; a calibration, training, evaluation, investigation, film or measurement of the angle of
+    /// repose has the id of its job.
     pub id: String,
     /// What it computes.
     pub kind: JobKind,
-    /// Its state.
+    /// What it is about.
+    #[serde(default)]
+    pub subject: Subject,
+    /// Its state; one that no worker computes is queued.
     pub state: JobState,
     /// Its progress.
     pub progress: Progress,
+    /// Time left at the pace of the present attempt, s; absent until the pace is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub left_s: Option<f64>,
+    /// Its place among the jobs that wait for the same slot, 1 being the next; absent unless it
+    /// waits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place: Option<u32>,
+    /// How long it is expected to take once it begins, s: the median of earlier jobs like it;
+    /// absent unless it waits, and if there are none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_s: Option<f64>,
+    /// The failed or cancelled job that it starts again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub again_of: Option<String>,
     /// How often a worker has started or resumed it.
     pub attempts: u32,
     /// A cancellation was requested and has not been carried out yet.
@@ -42,6 +61,19 @@ pub struct JobRow {
     pub result: Option<String>,
 }
 
+/// Jobs that take alike long.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Sort {
+    /// Their kind.
+    pub kind: JobKind,
+    /// The search method of calibrations.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub method: Option<String>,
+}
+
+/// Jobs that are looked back at for how long they took.
+const TIMES_MAX: i64 = 500;
+
 /// Topic of a job's events.
 pub fn job_topic(id: &str) -> String {
     format!("job:{id}")
@@ -56,14 +88,22 @@ impl Store {
         window: Window,
     ) -> Result<Page<Job>> {
         // Without specification and result, which may be half a megabyte each.
-        let sql = "SELECT seq, id, kind, state, fraction, message, attempts, cancel_requested, created_at, started_at, finished_at, error \
-                   FROM job WHERE seq < ?1 AND (?3 IS NULL OR kind = ?3) AND (?4 IS NULL OR state = ?4) \
-                   ORDER BY seq DESC LIMIT ?2";
+        let sql = concat!(
+            "SELECT seq, id, kind, subject, state, fraction, message, attempts, cancel_requested, again_of, ",
+            "claimed_at, claimed_fraction, lease_until, created_at, started_at, finished_at, error ",
+            "FROM job WHERE seq < ?1 AND (?3 IS NULL OR kind = ?3) AND (?4 IS NULL OR ?4 = ",
+            "CASE WHEN state = 'running' AND lease_until < ?7 THEN 'queued' ELSE state END) AND ",
+            shown!("job.kind", "job.id", "?5", "?6"),
+            " ORDER BY seq DESC LIMIT ?2"
+        );
         let rows = sqlx::query(sql)
             .bind(window.before())
             .bind(window.rows())
             .bind(kind.as_ref().map(word))
             .bind(state.as_ref().map(word))
+            .bind(window.shown.archived())
+            .bind(&window.shown.tag)
+            .bind(now().unix_ms())
             .fetch_all(&self.reader)
             .await?;
         window.page_of(&rows, job)
@@ -71,11 +111,41 @@ impl Store {
 
     /// Jobs of one kind, newest first, with all their data.
     pub async fn whole_jobs(&self, kind: JobKind, window: Window) -> Result<Page<JobRow>> {
-        let sql = "SELECT * FROM job WHERE seq < ?1 AND kind = ?3 ORDER BY seq DESC LIMIT ?2";
+        let sql = concat!(
+            "SELECT * FROM job WHERE seq < ?1 AND kind = ?3 AND ",
+            shown!("job.kind", "job.id", "?4", "?5"),
+            " ORDER BY seq DESC LIMIT ?2"
+        );
         let rows = sqlx::query(sql)
             .bind(window.before())
             .bind(window.rows())
             .bind(word(&kind))
+            .bind(window.shown.archived())
+            .bind(&window.shown.tag)
+            .fetch_all(&self.reader)
+            .await?;
+        window.page_of(&rows, job_row)
+    }
+
+    /// Films, newest first, with all their data; of one weighing, of the heaps of one parameter
+    /// set, or of the episodes of one training, if given.
+    pub async fn films(
+        &self,
+        weighing: Option<&str>,
+        set: Option<&str>,
+        training: Option<&str>,
+        window: Window,
+    ) -> Result<Page<JobRow>> {
+        let sql = "SELECT * FROM job WHERE seq < ?1 AND kind = 'film' \
+                   AND (?3 IS NULL OR spec ->> '$.film.weighing' = ?3) \
+                   AND (?4 IS NULL OR spec ->> '$.heap_film.set' = ?4) \
+                   AND (?5 IS NULL OR spec ->> '$.episode_film.training' = ?5) ORDER BY seq DESC LIMIT ?2";
+        let rows = sqlx::query(sql)
+            .bind(window.before())
+            .bind(window.rows())
+            .bind(weighing)
+            .bind(set)
+            .bind(training)
             .fetch_all(&self.reader)
             .await?;
         window.page_of(&rows, job_row)
@@ -88,6 +158,40 @@ impl Store {
             .fetch_optional(&self.reader)
             .await?;
         row.as_ref().map(job_row).transpose()
+    }
+
+    /// The jobs that no worker computes, the one that has waited longest first.
+    pub async fn waiting_jobs(&self) -> Result<Vec<(String, Sort)>> {
+        let sql = "SELECT id, kind, CASE kind WHEN 'calibration' THEN spec ->> '$.calibration.settings.method' END AS method \
+                   FROM job WHERE state IN ('queued', 'running') \
+                   AND (state = 'queued' OR lease_until < ?1) ORDER BY seq";
+        let rows = sqlx::query(sql).bind(now().unix_ms()).fetch_all(&self.reader).await?;
+        // A kind that is not known here waits for a program that knows it.
+        let known = |row: &SqliteRow| Some((row.plain("id"), sort(row).ok()?));
+        rows.iter().filter_map(known).map(|(id, sort)| Ok((id?, sort))).collect()
+    }
+
+    /// What the last jobs that succeeded at the first attempt were, and how long each took, s.
+    pub async fn times_taken(&self) -> Result<Vec<(Sort, f64)>> {
+        let sql = "SELECT kind, CASE kind WHEN 'calibration' THEN spec ->> '$.calibration.settings.method' END AS method, \
+                   (finished_at - started_at) / 1000.0 AS seconds FROM job \
+                   WHERE state = 'succeeded' AND attempts = 1 ORDER BY seq DESC LIMIT ?1";
+        let rows = sqlx::query(sql).bind(TIMES_MAX).fetch_all(&self.reader).await?;
+        rows.iter().map(|row| Ok((sort(row)?, row.plain("seconds")?))).collect()
+    }
+
+    /// The oldest calibration of a powder that waits or runs, under this version of the simulator,
+    /// `None` being the base.
+    pub async fn calibration_under_way(
+        &self,
+        powder: &str,
+        simulator: Option<&str>,
+    ) -> Result<Option<String>> {
+        let sql = "SELECT id FROM job WHERE kind = 'calibration' AND state IN ('queued', 'running') \
+                   AND spec ->> '$.calibration.powder' = ?1 \
+                   AND spec ->> '$.calibration.under.simulator' IS ?2 ORDER BY seq LIMIT 1";
+        let query = sqlx::query_scalar(sql).bind(powder).bind(simulator);
+        Ok(query.fetch_optional(&self.reader).await?)
     }
 
     /// The latest successful calibration of a powder, or of a bare angle (exactly), under this
@@ -114,8 +218,9 @@ impl Tx {
         &mut self,
         id: &str,
         kind: JobKind,
-        spec: &str,
-        spec_sha256: &[u8],
+        (spec, spec_sha256): (&str, &[u8]),
+        subject: &Subject,
+        again_of: Option<&str>,
         now: Timestamp,
     ) -> Result<(Job, bool)> {
         let sql =
@@ -125,14 +230,16 @@ impl Tx {
         {
             return Ok((job(&row)?, false));
         }
-        let sql = "INSERT INTO job (id, kind, spec, spec_sha256, state, message, created_at) \
-                   VALUES (?1, ?2, ?3, ?4, 'queued', 'waits for a worker', ?5) RETURNING *";
+        let sql = "INSERT INTO job (id, kind, spec, spec_sha256, state, message, created_at, subject, again_of) \
+                   VALUES (?1, ?2, ?3, ?4, 'queued', 'waits for a worker', ?5, ?6, ?7) RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(word(&kind))
             .bind(spec)
             .bind(spec_sha256)
             .bind(now.unix_ms())
+            .bind(json(subject)?)
+            .bind(again_of)
             .fetch_one(&mut *self.inner)
             .await?;
         Ok((self.announce_job(&row).await?, true))
@@ -161,17 +268,32 @@ impl Tx {
     }
 }
 
+fn sort(row: &SqliteRow) -> Result<Sort> {
+    Ok(Sort { kind: row.word("job", "kind")?, method: row.plain("method")? })
+}
+
 fn job_row(row: &SqliteRow) -> Result<JobRow> {
     Ok(JobRow { job: job(row)?, spec: row.plain("spec")?, result: row.plain("result")? })
 }
 
 pub(super) fn job(row: &SqliteRow) -> Result<Job> {
-    let state: JobState = row.word("job", "state")?;
+    let mut state: JobState = row.word("job", "state")?;
+    let mut message: String = row.plain("message")?;
+    let lease_until: Option<i64> = row.plain("lease_until")?;
+    if state == JobState::Running && lease_until.is_some_and(|until| until < now().unix_ms()) {
+        state = JobState::Queued;
+        "waits to go on: nothing computes it".clone_into(&mut message);
+    }
     Ok(Job {
         id: row.plain("id")?,
         kind: row.word("job", "kind")?,
+        subject: row.maybe_json("subject")?.unwrap_or_default(),
         state,
-        progress: Progress { fraction: row.plain("fraction")?, message: row.plain("message")? },
+        progress: Progress { fraction: row.plain("fraction")?, message },
+        left_s: if state == JobState::Running { left_s(row)? } else { None },
+        place: None,
+        expected_s: None,
+        again_of: row.plain("again_of")?,
         attempts: row.count("attempts")?,
         cancelling: row.plain::<bool>("cancel_requested")? && !state.is_terminal(),
         created_at: row.time("created_at")?,
@@ -179,4 +301,13 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
         finished_at: row.maybe_time("finished_at")?,
         error: row.plain("error")?,
     })
+}
+
+/// Time left at the pace since the present attempt was claimed, s.
+pub(super) fn left_s(row: &SqliteRow) -> Result<Option<f64>> {
+    let Some(claimed_at) = row.plain::<Option<i64>>("claimed_at")? else { return Ok(None) };
+    let (now_at, began): (f64, Option<f64>) =
+        (row.plain("fraction")?, row.plain("claimed_fraction")?);
+    let elapsed = Duration::from_millis((now().unix_ms() - claimed_at).max(0).unsigned_abs());
+    Ok(seconds_left(now_at - began.unwrap_or(0.0), 1.0 - now_at, elapsed))
 }

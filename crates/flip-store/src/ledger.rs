@@ -19,11 +19,12 @@
 //! [`DEATHS_MAX`] such ends is it considered the cause. Both counters restart whenever something is
 //! saved: a job that makes progress is not given up.
 
-use super::jobs::job_topic;
+use super::jobs::{job_topic, left_s};
 use super::row::Columns;
 use super::{Error, Result, Store, Tx};
 use flip_core::domain::job::{JobKind, JobState, Progress};
 use flip_core::domain::timestamp::Timestamp;
+use serde::Serialize;
 use sqlx::sqlite::SqliteRow;
 
 /// Number of attempts that may end in an error or a panic before the job fails for good.
@@ -138,7 +139,8 @@ impl Tx {
         until: Timestamp,
     ) -> Result<Claim> {
         let sql = "UPDATE job SET state = 'running', fence = fence + 1, attempts = attempts + 1, deaths = ?5, \
-                   owner = ?2, lease_until = ?3, message = 'begins', started_at = coalesce(started_at, ?4) \
+                   owner = ?2, lease_until = ?3, message = 'begins', started_at = coalesce(started_at, ?4), \
+                   claimed_at = ?4, claimed_fraction = fraction \
                    WHERE id = ?1 RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
@@ -224,8 +226,9 @@ impl Tx {
             .bind(lease.fence)
             .bind(fraction)
             .bind(&progress.message);
-        held(row.fetch_optional(&mut *self.inner).await?)?;
-        self.emit_latest(&job_topic(&lease.job), "progress", progress).await
+        let row = held(row.fetch_optional(&mut *self.inner).await?)?;
+        let reported = Reported { progress, left_s: left_s(&row)? };
+        self.emit_latest(&job_topic(&lease.job), "progress", &reported).await
     }
 
     /// Set the artifact to resume from.
@@ -290,6 +293,15 @@ impl Tx {
         let row = held(row.fetch_optional(&mut *self.inner).await?)?;
         self.announce_job(&row).await.map(drop)
     }
+}
+
+/// The event of a progress.
+#[derive(Serialize)]
+struct Reported<'a> {
+    #[serde(flatten)]
+    progress: &'a Progress,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    left_s: Option<f64>,
 }
 
 fn held(row: Option<SqliteRow>) -> Result<SqliteRow> {

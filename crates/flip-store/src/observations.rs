@@ -1,7 +1,9 @@
 //! Measurements of powders other than the angle of repose.
 
 use super::page::{Page, Window};
+use super::powders::Origin;
 use super::row::{Columns, json};
+use super::withdrawals::{Withdrawn, withdrawn};
 use super::{Result, Store, Tx, new_id, now};
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::timestamp::Timestamp;
@@ -25,19 +27,25 @@ pub struct PowderObservation {
     pub n: u32,
     /// Where the numbers come from.
     pub source: String,
+    /// On which day it was made, as `2026-02-03`; absent if nobody said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured_on: Option<String>,
     /// When it was registered.
     pub created_at: Timestamp,
+    /// Why it no longer counts; absent if it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub withdrawn: Option<Withdrawn>,
 }
 
 impl Store {
-    /// Observations of a powder, oldest first.
+    /// Observations of a powder, withdrawn ones too, oldest first.
     pub async fn observations(
         &self,
         powder: &str,
         window: Window,
     ) -> Result<Page<PowderObservation>> {
         let rows = sqlx::query(
-            "SELECT * FROM observation WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3",
+            "SELECT * FROM observation_all WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3",
         )
         .bind(powder)
         .bind(window.after())
@@ -47,9 +55,9 @@ impl Store {
         window.page_of(&rows, observation)
     }
 
-    /// Every observation, oldest first; of one powder if given.
+    /// Every observation that counts, oldest first; of one powder if given.
     pub async fn all_observations(&self, powder: Option<&str>) -> Result<Vec<PowderObservation>> {
-        let sql = "SELECT * FROM observation WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
+        let sql = "SELECT * FROM observation_all WHERE withdrawn_at IS NULL AND (?1 IS NULL OR powder = ?1) ORDER BY seq";
         sqlx::query(sql)
             .bind(powder)
             .fetch_all(&self.reader)
@@ -59,14 +67,14 @@ impl Store {
             .collect()
     }
 
-    /// Observations after a position, oldest first, at most a few thousand, and the position of the
+    /// Observations that count after a position, oldest first, at most a few thousand, and the position of the
     /// last one; of one powder if given.
     pub async fn observations_after(
         &self,
         powder: Option<&str>,
         after: i64,
     ) -> Result<(Vec<PowderObservation>, i64)> {
-        let sql = "SELECT * FROM observation WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
+        let sql = "SELECT * FROM observation_all WHERE seq > ?2 AND withdrawn_at IS NULL AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
         self.batch(sql, powder, after, observation).await
     }
 
@@ -96,22 +104,23 @@ impl Tx {
         &mut self,
         powder: &str,
         observed: &Observation,
-        source: &str,
+        origin: &Origin,
     ) -> Result<PowderObservation> {
-        let sql = "INSERT INTO observation (id, powder, body, source, created_at) VALUES (?1, ?2, ?3, ?4, ?5) RETURNING *";
+        let sql = "INSERT INTO observation (id, powder, body, source, created_at, measured_on) VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING *, NULL AS withdrawn_at";
         let row = sqlx::query(sql)
             .bind(new_id())
             .bind(powder)
             .bind(json(observed)?)
-            .bind(source)
+            .bind(&origin.source)
             .bind(now().unix_ms())
+            .bind(&origin.measured_on)
             .fetch_one(&mut *self.inner)
             .await?;
         observation(&row)
     }
 }
 
-fn observation(row: &SqliteRow) -> Result<PowderObservation> {
+pub(super) fn observation(row: &SqliteRow) -> Result<PowderObservation> {
     let Observation { observable, mean, sd, n } = row.json("body")?;
     Ok(PowderObservation {
         id: row.plain("id")?,
@@ -121,6 +130,8 @@ fn observation(row: &SqliteRow) -> Result<PowderObservation> {
         sd,
         n,
         source: row.plain("source")?,
+        measured_on: row.plain("measured_on")?,
         created_at: row.time("created_at")?,
+        withdrawn: withdrawn(row)?,
     })
 }

@@ -1,5 +1,6 @@
 //! Keyset paging: a list continues after the last row of the previous page.
 
+use super::labels::Shown;
 use super::row::Columns;
 use super::{Result, Store};
 use base64::Engine as _;
@@ -26,6 +27,9 @@ pub struct PageQuery {
     pub limit: Option<u32>,
     /// `next` of the previous page.
     pub after: Option<String>,
+    /// Which items, by their labels; lists of what has none ignore it.
+    #[serde(default)]
+    pub shown: Shown,
 }
 
 /// A page of a list, and the cursor of the next one.
@@ -38,18 +42,26 @@ pub struct Page<T> {
 }
 
 /// A checked [`PageQuery`], in rows.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Default)]
 pub struct Window {
     /// Sequence number of the last row of the previous page.
     pub after: Option<i64>,
     /// Rows to return.
     pub limit: u32,
+    /// Which rows, by their labels.
+    pub shown: Shown,
 }
 
 impl PageQuery {
     /// A window of the first `limit` items.
     pub fn first(limit: u32) -> Self {
-        Self { limit: Some(limit), after: None }
+        Self { limit: Some(limit), ..Self::default() }
+    }
+
+    /// The same list with archived items.
+    pub fn with_archived(mut self) -> Self {
+        self.shown = Shown::all();
+        self
     }
 
     /// The query in rows.
@@ -65,7 +77,7 @@ impl PageQuery {
             ));
         }
         let after = self.after.as_deref().map(decode).transpose()?;
-        Ok(Window { after, limit })
+        Ok(Window { after, limit, shown: self.shown.clone() })
     }
 }
 
@@ -149,7 +161,9 @@ mod tests {
         let window = PageQuery::first(2).window(LIST_LIMIT_MAX).unwrap();
         let full = window.page(vec![(9, 'a'), (7, 'b'), (5, 'c')]);
         assert_eq!(full.items, ['a', 'b']);
-        let next = PageQuery { limit: Some(2), after: full.next }.window(LIST_LIMIT_MAX).unwrap();
+        let next = PageQuery { limit: Some(2), after: full.next, ..PageQuery::default() }
+            .window(LIST_LIMIT_MAX)
+            .unwrap();
         assert_eq!(next.before(), 7);
         assert_eq!(window.page(vec![(9, 'a'), (7, 'b')]).next, None);
     }
@@ -157,7 +171,7 @@ mod tests {
     #[test]
     fn limits_and_cursors_from_outside_are_refused_by_name() {
         let refused = |limit, after: Option<&str>| {
-            PageQuery { limit, after: after.map(str::to_owned) }
+            PageQuery { limit, after: after.map(str::to_owned), ..PageQuery::default() }
                 .window(LIST_LIMIT_MAX)
                 .unwrap_err()
                 .field

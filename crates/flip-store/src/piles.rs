@@ -2,7 +2,7 @@
 
 use super::row::{Columns, json};
 use super::{Result, Store, Tx};
-use flip_core::domain::pile::Measurement;
+use flip_core::domain::pile::{Measurement, Outline};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
@@ -20,6 +20,10 @@ pub struct Pile {
     pub refusal: Option<String>,
     /// Its raw frames, in order of arrival.
     pub frames: Vec<FrameFiles>,
+    /// Where in the picture is what was measured; absent if the frames were refused, and for a pile
+    /// measured before it was kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outline: Option<Outline>,
 }
 
 /// The three files of a frame as received, each by its SHA-256.

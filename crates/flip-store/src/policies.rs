@@ -1,6 +1,7 @@
 //! Policies: the trained weights as bytes, and their metadata.
 
 use super::artifacts::sha256_hex;
+use super::labels::shown;
 use super::page::{Page, Window};
 use super::row::{Columns, json};
 use super::{Error, Result, Store, Tx, now};
@@ -46,12 +47,12 @@ pub struct PolicyError {
 impl Store {
     /// Policies, newest first.
     pub async fn policies(&self, window: Window) -> Result<Page<Policy>> {
-        let rows =
-            sqlx::query("SELECT * FROM policy_card WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2")
-                .bind(window.before())
-                .bind(window.rows())
-                .fetch_all(&self.reader)
-                .await?;
+        let sql = concat!(
+            "SELECT * FROM policy_card WHERE seq < ?1 AND ",
+            shown!("'policy'", "policy_card.id", "?3", "?4"),
+            " ORDER BY seq DESC LIMIT ?2"
+        );
+        let rows = self.rows_shown(sql, &window).await?;
         let mut page = window.page_of(&rows, policy)?;
         for policy in &mut page.items {
             policy.evaluated = self.policy_errors(&policy.id).await?;
@@ -75,14 +76,30 @@ impl Store {
     /// [`Error::Corrupt`] when they are not what was stored.
     pub async fn policy_bytes(&self, id: &str) -> Result<Option<Vec<u8>>> {
         let sql = "SELECT bytes, sha256 FROM policy WHERE id = ?1";
-        let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&self.reader).await? else {
-            return Ok(None);
-        };
-        let bytes: Vec<u8> = row.plain("bytes")?;
-        match sha256_hex(&bytes) == row.plain::<String>("sha256")? {
-            true => Ok(Some(bytes)),
-            false => Err(Error::Corrupt(format!("policy {id} does not match its SHA-256"))),
-        }
+        let found = sqlx::query(sql).bind(id).fetch_optional(&self.reader).await?;
+        found.as_ref().map(|row| verified(id, row)).transpose()
+    }
+
+    /// The bytes of a network that a training kept, by their policy id, verified against their
+    /// SHA-256; `None` without one.
+    ///
+    /// # Errors
+    /// [`Error::Corrupt`] when they are not what was stored.
+    pub async fn kept_policy(&self, id: &str) -> Result<Option<Vec<u8>>> {
+        let sql = "SELECT bytes, sha256 FROM kept_policy WHERE id = ?1 LIMIT 1";
+        let found = sqlx::query(sql).bind(id).fetch_optional(&self.reader).await?;
+        found.as_ref().map(|row| verified(id, row)).transpose()
+    }
+
+    /// The episodes whose networks these trainings kept, in order: training, number of the episode
+    /// from 1, policy id.
+    pub async fn kept_episodes(&self, trainings: &[&str]) -> Result<Vec<(String, u32, String)>> {
+        let sql = "SELECT job, episode, id FROM kept_policy \
+                   WHERE job IN (SELECT value FROM json_each(?1)) ORDER BY job, episode";
+        let rows = sqlx::query(sql).bind(json(&trainings)?).fetch_all(&self.reader).await?;
+        rows.iter()
+            .map(|row| Ok((row.plain("job")?, row.plain("episode")?, row.plain("id")?)))
+            .collect()
     }
 
     /// The policy with the smallest evaluated error on the powder under this version of the
@@ -118,6 +135,15 @@ impl Store {
     }
 }
 
+/// The bytes of a policy, if they are what was stored.
+fn verified(id: &str, row: &SqliteRow) -> Result<Vec<u8>> {
+    let bytes: Vec<u8> = row.plain("bytes")?;
+    match sha256_hex(&bytes) == row.plain::<String>("sha256")? {
+        true => Ok(bytes),
+        false => Err(Error::Corrupt(format!("policy {id} does not match its SHA-256"))),
+    }
+}
+
 impl Tx {
     /// Store a policy. If another training has already produced the same bytes, the first row
     /// stays.
@@ -142,6 +168,28 @@ impl Tx {
             .execute(&mut *self.inner)
             .await?;
         Ok(())
+    }
+
+    /// Keep the network that played an episode of a training. `false`: it is kept already; a resumed
+    /// training plays the episodes after its last checkpoint again.
+    pub async fn insert_kept(
+        &mut self,
+        training: &str,
+        episode: u32,
+        id: &str,
+        bytes: &[u8],
+    ) -> Result<bool> {
+        let sql = "INSERT INTO kept_policy (job, episode, id, bytes, sha256) \
+                   VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT DO NOTHING";
+        let done = sqlx::query(sql)
+            .bind(training)
+            .bind(episode)
+            .bind(id)
+            .bind(bytes)
+            .bind(sha256_hex(bytes))
+            .execute(&mut *self.inner)
+            .await?;
+        Ok(done.rows_affected() == 1)
     }
 }
 

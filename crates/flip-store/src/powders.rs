@@ -1,7 +1,9 @@
 //! Powders and their measurements.
 
+use super::labels::shown;
 use super::page::{Page, Window};
 use super::row::{Columns, word};
+use super::withdrawals::{Withdrawn, withdrawn};
 use super::{Result, Store, Tx, new_id, now};
 use flip_core::domain::powder::{Flowability, Method, PUBLISHED, PUBLISHED_SOURCE};
 use flip_core::domain::timestamp::Timestamp;
@@ -45,16 +47,45 @@ pub struct Measurement {
     pub n: u32,
     /// Where the numbers come from.
     pub source: String,
+    /// On which day it was made, as `2026-02-03`; absent if nobody said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured_on: Option<String>,
     /// When it was registered.
     pub created_at: Timestamp,
+    /// Why it no longer counts; absent if it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub withdrawn: Option<Withdrawn>,
+}
+
+/// Where numbers come from.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Origin {
+    /// In words; may be empty.
+    pub source: String,
+    /// The day on which they were measured, as `2026-02-03`.
+    pub measured_on: Option<String>,
+}
+
+impl Origin {
+    /// On a day that nobody named.
+    pub fn undated(source: &str) -> Self {
+        Self { source: source.to_owned(), measured_on: None }
+    }
 }
 
 impl Store {
     /// Powders, oldest first.
     pub async fn powders(&self, window: Window) -> Result<Page<Powder>> {
-        let rows = sqlx::query("SELECT * FROM powder_now WHERE seq > ?1 ORDER BY seq LIMIT ?2")
+        let sql = concat!(
+            "SELECT * FROM powder_now WHERE seq > ?1 AND ",
+            shown!("'powder'", "powder_now.id", "?3", "?4"),
+            " ORDER BY seq LIMIT ?2"
+        );
+        let rows = sqlx::query(sql)
             .bind(window.after())
             .bind(window.rows())
+            .bind(window.shown.archived())
+            .bind(&window.shown.tag)
             .fetch_all(&self.reader)
             .await?;
         window.page_of(&rows, powder)
@@ -83,10 +114,10 @@ impl Store {
             .await?)
     }
 
-    /// Measurements of a powder, oldest first.
+    /// Measurements of a powder, withdrawn ones too, oldest first.
     pub async fn measurements(&self, powder: &str, window: Window) -> Result<Page<Measurement>> {
         let rows = sqlx::query(
-            "SELECT * FROM measurement WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3",
+            "SELECT * FROM measurement_all WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3",
         )
         .bind(powder)
         .bind(window.after())
@@ -96,9 +127,9 @@ impl Store {
         window.page_of(&rows, measurement)
     }
 
-    /// Every measurement, oldest first; of one powder if given.
+    /// Every measurement that counts, oldest first; of one powder if given.
     pub async fn all_measurements(&self, powder: Option<&str>) -> Result<Vec<Measurement>> {
-        let sql = "SELECT * FROM measurement WHERE ?1 IS NULL OR powder = ?1 ORDER BY seq";
+        let sql = "SELECT * FROM measurement_all WHERE withdrawn_at IS NULL AND (?1 IS NULL OR powder = ?1) ORDER BY seq";
         sqlx::query(sql)
             .bind(powder)
             .fetch_all(&self.reader)
@@ -108,14 +139,14 @@ impl Store {
             .collect()
     }
 
-    /// Measurements after a position, oldest first, at most a few thousand, and the position of the
+    /// Measurements that count after a position, oldest first, at most a few thousand, and the position of the
     /// last one; of one powder if given.
     pub async fn measurements_after(
         &self,
         powder: Option<&str>,
         after: i64,
     ) -> Result<(Vec<Measurement>, i64)> {
-        let sql = "SELECT * FROM measurement WHERE seq > ?2 AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
+        let sql = "SELECT * FROM measurement_all WHERE seq > ?2 AND withdrawn_at IS NULL AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
         self.batch(sql, powder, after, measurement).await
     }
 
@@ -134,7 +165,8 @@ impl Store {
             for (method, flowability) in
                 [(Method::Automated, row.automated), (Method::Manual, row.manual)]
             {
-                tx.insert_measurement(row.id, method, flowability, PUBLISHED_SOURCE).await?;
+                let origin = Origin::undated(PUBLISHED_SOURCE);
+                tx.insert_measurement(row.id, method, flowability, &origin).await?;
             }
         }
         tx.commit().await
@@ -167,10 +199,11 @@ impl Tx {
         powder: &str,
         method: Method,
         flowability: Flowability,
-        source: &str,
+        origin: &Origin,
     ) -> Result<Measurement> {
-        let sql = "INSERT INTO measurement (id, powder, method, repose_deg, sd_deg, n, source, created_at) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8) RETURNING *";
+        let sql = "INSERT INTO measurement (id, powder, method, repose_deg, sd_deg, n, source, created_at, measured_on) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) \
+                   RETURNING *, NULL AS withdrawn_at";
         let row = sqlx::query(sql)
             .bind(new_id())
             .bind(powder)
@@ -178,8 +211,9 @@ impl Tx {
             .bind(flowability.repose_deg)
             .bind(flowability.sd_deg)
             .bind(flowability.n)
-            .bind(source)
+            .bind(&origin.source)
             .bind(now().unix_ms())
+            .bind(&origin.measured_on)
             .fetch_one(&mut *self.inner)
             .await?;
         measurement(&row)
@@ -202,7 +236,7 @@ fn powder(row: &SqliteRow) -> Result<Powder> {
     })
 }
 
-fn measurement(row: &SqliteRow) -> Result<Measurement> {
+pub(super) fn measurement(row: &SqliteRow) -> Result<Measurement> {
     let (sd_deg, n) = (row.plain("sd_deg")?, row.count("n")?);
     Ok(Measurement {
         id: row.plain("id")?,
@@ -213,6 +247,8 @@ fn measurement(row: &SqliteRow) -> Result<Measurement> {
         sd_unknown: n == 1 && sd_deg == 0.0,
         n,
         source: row.plain("source")?,
+        measured_on: row.plain("measured_on")?,
         created_at: row.time("created_at")?,
+        withdrawn: withdrawn(row)?,
     })
 }

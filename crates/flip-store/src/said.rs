@@ -1,5 +1,5 @@
 //! Compares rows other than weighings with the record: tokens, powders, their measurements,
-//! imported spoonfuls, checks of the bench, whether it is latched or held, and the current simulator.
+//! imported spoonfuls, labels, checks of the bench, whether it is latched or held, and the current simulator.
 //!
 //! The record of an action holds the row it made; records of kind `rows` hold rows whose action
 //! made many, or none. The compared fields are listed in [`row_says`]; a field that no record
@@ -40,6 +40,10 @@ pub enum RowOf {
     Spoonful,
     /// Up to when shakes of a powder are forgotten.
     Forgotten,
+    /// The name, note and tags of something, and whether it is archived.
+    Label,
+    /// That a measurement or an observation no longer counts.
+    Withdrawal,
     /// The mark that a stock-taking of rows without a record was done, and when.
     Stock,
 }
@@ -59,6 +63,8 @@ impl RowOf {
             Self::ParameterSet => "parameter_set",
             Self::Spoonful => "spoonful",
             Self::Forgotten => "forgotten",
+            Self::Label => "label",
+            Self::Withdrawal => "withdrawal",
             Self::Stock => "stock",
         }
     }
@@ -103,7 +109,7 @@ pub(super) struct Said {
 }
 
 /// All types with a table to compare with, and the table.
-const TABLES: [(RowOf, &str); 12] = [
+const TABLES: [(RowOf, &str); 14] = [
     (RowOf::Token, "SELECT * FROM token ORDER BY seq"),
     (RowOf::Powder, "SELECT * FROM powder ORDER BY seq"),
     (RowOf::Measurement, "SELECT * FROM measurement ORDER BY seq"),
@@ -115,6 +121,8 @@ const TABLES: [(RowOf, &str); 12] = [
     (RowOf::ParameterSet, "SELECT * FROM parameter_set ORDER BY seq"),
     (RowOf::Spoonful, "SELECT * FROM spoonful ORDER BY seq"),
     (RowOf::Forgotten, "SELECT * FROM forgotten ORDER BY seq"),
+    (RowOf::Label, "SELECT * FROM label ORDER BY seq"),
+    (RowOf::Withdrawal, "SELECT * FROM withdrawal ORDER BY seq"),
     (RowOf::Stock, "SELECT * FROM stock"),
 ];
 
@@ -153,12 +161,22 @@ impl Said {
                 let ended = json!({ "revoked_at": body["token"]["revoked_at"] });
                 self.say(RowOf::Token, named("token"), seq, &ended);
             }
-            "new powder" => self.say(RowOf::Powder, named("powder"), seq, &body["powder"]),
-            "new measurement" => {
-                self.say(RowOf::Measurement, named("measurement"), seq, &body["measurement"])
+            "new powder" => {
+                self.say(RowOf::Powder, named("powder"), seq, &body["powder"]);
+                self.say(RowOf::Measurement, named("measurement"), seq, &body["measurement"]);
             }
-            "new observation" => {
-                self.say(RowOf::Observation, named("observation"), seq, &body["observation"])
+            "new measurement" | "correct measurement" | "withdraw measurement" => {
+                self.say(RowOf::Measurement, named("measurement"), seq, &body["measurement"]);
+                self.say(RowOf::Withdrawal, named("withdrawal"), seq, &body["withdrawal"]);
+            }
+            "new observation" | "correct observation" | "withdraw observation" => {
+                self.say(RowOf::Observation, named("observation"), seq, &body["observation"]);
+                self.say(RowOf::Withdrawal, named("withdrawal"), seq, &body["withdrawal"]);
+            }
+            "label" => {
+                let of = |field: &str| body["label"][field].as_str().unwrap_or_default();
+                self.say(RowOf::Label, format!("{} {}", of("kind"), of("id")), seq, &body["label"]);
+                self.say(RowOf::Powder, named("powder"), seq, &body["powder"]);
             }
             "forget shakes" => {
                 self.say(RowOf::Forgotten, named("forgotten"), seq, &body["forgotten"])
@@ -281,6 +299,9 @@ fn id_of(what: RowOf, row: &SqliteRow) -> Result<String> {
         RowOf::Latch | RowOf::Hold => Ok(row.time("at")?.to_string()),
         RowOf::Simulator => Ok(CHOSEN.to_owned()),
         RowOf::Stock => Ok(TAKEN.to_owned()),
+        RowOf::Label => {
+            Ok(format!("{} {}", row.plain::<String>("kind")?, row.plain::<String>("id")?))
+        }
         _ => row.plain("id"),
     }
 }
@@ -344,6 +365,14 @@ fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
                 says["lot"] = lot.into();
             }
             says
+        }
+        RowOf::Label => {
+            json!({ "name": text("name")?, "note": text("note")?, "tags": row.json::<Value>("tags")?,
+                "archived_at": row.maybe_time("archived_at")? })
+        }
+        RowOf::Withdrawal => {
+            json!({ "id": text("id")?, "reason": text("reason")?, "replaced_by": text("replaced_by")?,
+                "at": row.time("at")? })
         }
         RowOf::Stock => json!({ "at": row.time("at")? }),
     })

@@ -1,5 +1,6 @@
 //! Versions of the simulator made by investigations.
 
+use super::labels::shown;
 use super::page::{Page, Window};
 use super::row::Columns;
 use super::{Result, Store, Tx, now};
@@ -26,14 +27,12 @@ pub struct SimulatorVersion {
 impl Store {
     /// Versions, newest first.
     pub async fn simulators(&self, window: Window) -> Result<Page<SimulatorVersion>> {
-        let rows = sqlx::query(
-            "SELECT * FROM simulator_version WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2",
-        )
-        .bind(window.before())
-        .bind(window.rows())
-        .fetch_all(&self.reader)
-        .await?;
-        window.page_of(&rows, version)
+        let sql = concat!(
+            "SELECT * FROM simulator_version WHERE seq < ?1 AND ",
+            shown!("'simulator'", "simulator_version.id", "?3", "?4"),
+            " ORDER BY seq DESC LIMIT ?2"
+        );
+        window.page_of(&self.rows_shown(sql, &window).await?, version)
     }
 
     /// One version.

@@ -254,7 +254,7 @@ mod tests {
 
     async fn names(store: &Store, lot: Option<&str>) -> Vec<String> {
         let wanted = ShakesWanted { lot: lot.map(str::to_owned), ..ShakesWanted::default() };
-        let window = Window { after: None, limit: 200 };
+        let window = Window { limit: 200, ..Window::default() };
         let found = store.imported_spoonfuls(&wanted, window).await.unwrap();
         found.into_iter().map(|(_, it)| it.spoonful.weighing).collect()
     }

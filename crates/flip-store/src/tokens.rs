@@ -9,6 +9,9 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 
+/// How long an expired token is still reported, ms: its last use may not be stored yet.
+const EXPIRED_KEPT_MS: i64 = 86_400_000;
+
 /// Permissions of a token's holder; each role includes the ones before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -40,6 +43,12 @@ pub struct TokenEntry {
     pub revoked_at: Option<Timestamp>,
     /// When it was last used, to about a minute; absent if it never was.
     pub last_used_at: Option<Timestamp>,
+    /// Provider that the holder logged in with; absent for a token that somebody created.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub issuer: Option<String>,
+    /// The provider's own name for the holder, which no two people share.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub subject: Option<String>,
 }
 
 /// A token with the hash of its secret.
@@ -50,9 +59,12 @@ pub struct HashedToken {
 }
 
 impl Store {
-    /// Every token, on a connection that nobody else waits for.
+    /// Every token but those that expired more than a day ago, of which log-ins leave many, on a
+    /// connection that nobody else waits for.
     pub async fn every_token(&self) -> Result<Vec<HashedToken>> {
-        let rows = sqlx::query("SELECT * FROM token ORDER BY seq").fetch_all(&self.apart).await?;
+        let sql = "SELECT * FROM token WHERE expires_at IS NULL OR expires_at > ?1 ORDER BY seq";
+        let since = now().unix_ms() - EXPIRED_KEPT_MS;
+        let rows = sqlx::query(sql).bind(since).fetch_all(&self.apart).await?;
         rows.iter()
             .map(|row| Ok(HashedToken { entry: entry(row)?, sha256: row.plain("sha256")? }))
             .collect()
@@ -76,7 +88,7 @@ impl Store {
 impl Tx {
     /// Store the hash of a new token's secret.
     pub async fn insert_token(&mut self, new: &HashedToken) -> Result<()> {
-        let sql = "INSERT INTO token (id, name, role, sha256, created_at, expires_at, may_clear) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
+        let sql = "INSERT INTO token (id, name, role, sha256, created_at, expires_at, may_clear, issuer, subject) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
         let HashedToken { entry, sha256 } = new;
         sqlx::query(sql)
             .bind(&entry.id)
@@ -86,6 +98,8 @@ impl Tx {
             .bind(entry.created_at.unix_ms())
             .bind(entry.expires_at.map(Timestamp::unix_ms))
             .bind(entry.may_clear)
+            .bind(&entry.issuer)
+            .bind(&entry.subject)
             .execute(&mut *self.inner)
             .await?;
         let mut said = serde_json::json!({ "token": entry });
@@ -150,5 +164,45 @@ fn entry(row: &SqliteRow) -> Result<TokenEntry> {
         expires_at: row.maybe_time("expires_at")?,
         revoked_at: row.maybe_time("revoked_at")?,
         last_used_at: row.maybe_time("last_used_at")?,
+        issuer: row.plain("issuer")?,
+        subject: row.plain("subject")?,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn tokens_that_expired_long_ago_are_listed_and_not_read_again_and_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        let ends = [None, Some(-2), Some(-25), Some(1)];
+        for (k, hours) in ends.into_iter().enumerate() {
+            let at = |hours: i64| Timestamp::from_unix_ms(now().unix_ms() + hours * 3_600_000);
+            let entry = TokenEntry {
+                id: k.to_string(),
+                name: "Ada".into(),
+                role: Role::Viewer,
+                may_clear: false,
+                created_at: at(-30),
+                expires_at: hours.map(at),
+                revoked_at: None,
+                last_used_at: None,
+                issuer: Some("https://id.example.org".into()),
+                subject: Some("17".into()),
+            };
+            tx.insert_token(&HashedToken { entry, sha256: vec![k as u8; 32] }).await.unwrap();
+        }
+        tx.commit().await.unwrap();
+        let read = store.every_token().await.unwrap();
+        let ids: Vec<_> = read.iter().map(|token| token.entry.id.as_str()).collect();
+        assert_eq!(ids, ["0", "1", "3"]);
+        assert_eq!(read[0].entry.subject.as_deref(), Some("17"));
+        let window = crate::page::PageQuery::default().window(10).unwrap();
+        assert_eq!(store.tokens(window).await.unwrap().items.len(), 4);
+        let verified = store.verify_audit(None).await.unwrap();
+        assert!(verified.others.is_empty() && verified.broken.is_none(), "{verified:?}");
+    }
 }

@@ -3,6 +3,7 @@
 //! A list is read page by page by keyset: the cursor is the place of the last row, and the next page
 //! holds what comes after that row in the order asked for, also while doses come in.
 
+use super::labels::Shown;
 use super::page::{Page, Window};
 use super::row::word;
 use super::weighings::{Weighing, weighing};
@@ -24,6 +25,8 @@ pub struct WeighingsWanted {
     pub vial: Option<String>,
     /// Only asked for by this operator.
     pub operator: Option<String>,
+    /// Only of this list of doses.
+    pub list: Option<String>,
     /// Only by this policy, by id.
     pub policy: Option<String>,
     /// Only on this kind of bench.
@@ -32,12 +35,15 @@ pub struct WeighingsWanted {
     pub state: Option<WeighingState>,
     /// Only with this outcome.
     pub outcome: Option<Outcome>,
+    /// Only under or over their tolerance, by the reading.
+    #[serde(default)]
+    pub outside: bool,
     /// Only requested at this time or later.
     pub since: Option<Timestamp>,
     /// Only requested before this time.
     pub before: Option<Timestamp>,
-    /// Only with these words, in any case, each in the id, powder, policy, lot, vial, operator or
-    /// error.
+    /// Only with these words, in any case, each in the id, powder, policy, lot, vial, operator,
+    /// list, position or error, or in the name given to it.
     pub text: Option<String>,
     /// Their order.
     pub sort: WeighingSort,
@@ -84,14 +90,16 @@ impl WeighingSort {
 
 impl WeighingsWanted {
     /// Adds the conditions to a statement that has come to its `WHERE`.
-    fn restrict(&self, sql: &mut QueryBuilder<Sqlite>) {
+    fn restrict(&self, shown: &Shown, sql: &mut QueryBuilder<Sqlite>) {
         sql.push("TRUE");
+        restrict_to(shown, self.list.is_some(), sql);
         let words = [
             ("powder", self.powder.clone()),
             ("policy", self.policy.clone()),
             ("asked ->> 'lot'", self.lot.clone()),
             ("asked ->> 'vial'", self.vial.clone()),
             ("asked ->> 'operator'", self.operator.clone()),
+            ("asked ->> 'list'", self.list.clone()),
             ("bench", self.bench.as_ref().map(word)),
             ("state", self.state.as_ref().map(word)),
             ("outcome", self.outcome.as_ref().map(word)),
@@ -100,6 +108,9 @@ impl WeighingsWanted {
             if let Some(is) = is {
                 sql.push(format!(" AND {column} = ")).push_bind(is);
             }
+        }
+        if self.outside {
+            sql.push(" AND outcome IN ('under', 'over')");
         }
         if let Some(since) = self.since {
             sql.push(" AND created_at >= ").push_bind(since.unix_ms());
@@ -110,20 +121,56 @@ impl WeighingsWanted {
         for part in self.text.iter().flat_map(|text| text.split_whitespace()) {
             let like = format!("%{}%", escaped(part));
             // Reading JSON takes most of the time: first whether the word is anywhere in it.
+            sql.push(" AND (TRUE");
             if !part.contains(['"', '\\']) {
                 let row = "id || ' ' || powder || ' ' || policy || ' ' || coalesce(asked, '') || ' ' || coalesce(error, '')";
                 sql.push(format!(" AND {row} LIKE ")).push_bind(like.clone()).push(r" ESCAPE '\'");
             }
             sql.push(
-                " AND concat_ws(' ', id, powder, policy, asked ->> 'lot', asked ->> 'vial', asked ->> 'operator', error) LIKE ",
+                " AND concat_ws(' ', id, powder, policy, asked ->> 'lot', asked ->> 'vial', asked ->> 'operator', asked ->> 'list', asked ->> 'position', error) LIKE ",
             );
-            sql.push_bind(like).push(r" ESCAPE '\'");
+            sql.push_bind(like.clone()).push(r" ESCAPE '\'");
+            sql.push(" OR id IN (SELECT id FROM label WHERE kind = 'weighing' AND name LIKE ");
+            sql.push_bind(like).push(r" ESCAPE '\'))");
         }
     }
 }
 
+/// A weighing is archived with its list of doses, unless that list is asked for, and has the tags
+/// of its list.
+fn restrict_to(shown: &Shown, of_list: bool, sql: &mut QueryBuilder<Sqlite>) {
+    let archived =
+        |kind| format!("(SELECT id FROM label WHERE kind = '{kind}' AND archived_at IS NOT NULL)");
+    let (doses, lists) = (archived("weighing"), archived("dose_list"));
+    match shown.archived() {
+        Some(true) => {
+            sql.push(format!(" AND (id IN {doses} OR asked ->> 'list' IN {lists})"));
+        }
+        Some(false) => {
+            sql.push(format!(" AND id NOT IN {doses}"));
+            // Reading JSON takes most of the time: first whether any list is archived.
+            if !of_list {
+                sql.push(format!(
+                    " AND (NOT EXISTS {lists} OR coalesce(asked ->> 'list' NOT IN {lists}, TRUE))"
+                ));
+            }
+        }
+        None => {}
+    }
+    if let Some(tag) = &shown.tag {
+        let tagged = |kind| {
+            format!(
+                "(SELECT l.id FROM label l, json_each(l.tags) t WHERE l.kind = '{kind}' AND t.value = "
+            )
+        };
+        sql.push(format!(" AND (id IN {}", tagged("weighing"))).push_bind(tag.clone());
+        sql.push(format!(" COLLATE NOCASE) OR asked ->> 'list' IN {}", tagged("dose_list")));
+        sql.push_bind(tag.clone()).push(" COLLATE NOCASE))");
+    }
+}
+
 /// A word of which `LIKE` takes every character as itself.
-fn escaped(word: &str) -> String {
+pub(super) fn escaped(word: &str) -> String {
     word.replace('\\', r"\\").replace('%', r"\%").replace('_', r"\_")
 }
 
@@ -135,11 +182,11 @@ impl Store {
         window: Window,
     ) -> Result<WeighingsFound> {
         let mut count = QueryBuilder::new("SELECT count(*) FROM weighing WHERE ");
-        wanted.restrict(&mut count);
+        wanted.restrict(&window.shown, &mut count);
         let total: i64 = count.build_query_scalar().fetch_one(&self.reader).await?;
         let key = wanted.sort.key();
         let mut sql = QueryBuilder::new("SELECT * FROM weighing WHERE ");
-        wanted.restrict(&mut sql);
+        wanted.restrict(&window.shown, &mut sql);
         if let Some(after) = window.after {
             sql.push(format!(" AND ({key}, seq) < (SELECT {key}, seq FROM weighing WHERE seq = "));
             sql.push_bind(after).push(")");

@@ -265,6 +265,12 @@ impl Tx {
         Ok(sqlx::query_scalar(sql).fetch_one(&mut *self.inner).await?)
     }
 
+    /// Whether a weighing belongs to a list of this name.
+    pub async fn is_list(&mut self, name: &str) -> Result<bool> {
+        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE asked ->> 'list' = ?1)";
+        Ok(sqlx::query_scalar(sql).bind(name).fetch_one(&mut *self.inner).await?)
+    }
+
     /// Store an intent.
     pub async fn insert_weighing(&mut self, intent: &Intent, now: Timestamp) -> Result<Weighing> {
         let sql = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, \

@@ -8,6 +8,7 @@
 use flip_core::domain::bench_check::CheckKind;
 use flip_core::domain::conditions::{Condition, Under};
 use flip_core::domain::job::JobKind;
+use flip_store::labels::Shown;
 use flip_store::page::Window;
 use flip_store::spoonfuls::ShakesWanted;
 use flip_store::{Error, Store, backup};
@@ -107,7 +108,7 @@ async fn rows_of(pool: &SqlitePool, table: &str, columns: &str) -> BTreeSet<Stri
 
 /// What this program reads from a folder: how many rows of each table.
 async fn readable(store: &Store) -> Vec<(&'static str, usize)> {
-    let all = || Window { after: None, limit: 200 };
+    let all = || Window { limit: 200, ..Window::default() };
     let mut jobs = store.jobs(None, None, all()).await.unwrap().items;
     jobs.retain(|job| job.kind != JobKind::Investigation);
     let investigations = store.whole_jobs(JobKind::Investigation, all()).await.unwrap().items;
@@ -348,7 +349,7 @@ async fn a_word_that_is_not_known_is_named_with_its_table_and_row() {
     run(&pool, "UPDATE weighing SET outcome = 'perhaps' WHERE id = 'w-6'").await;
     run(&pool, "UPDATE token SET role = 'ghost' WHERE id = 'tk-4'").await;
     run(&pool, "UPDATE latch SET bench = 'dreamt' WHERE seq = 2").await;
-    let all = || Window { after: None, limit: 200 };
+    let all = || Window { after: None, limit: 200, shown: Shown::default() };
     let errors = [
         ("measurement m-5 method oracle", store.all_measurements(None).await.unwrap_err()),
         ("job c-3 kind seance", store.jobs(None, None, all()).await.unwrap_err()),

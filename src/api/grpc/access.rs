@@ -14,18 +14,24 @@ use std::sync::LazyLock;
 const READING: [&str; 6] = ["Get", "List", "Watch", "Compare", "Verify", "Download"];
 /// The service reserved for admins.
 const TOKENS: &str = "Tokens";
+/// Its method for every caller.
+const IDENTITY: &str = "GetIdentity";
+/// Its methods for people who have no token yet.
+const LOG_IN: [&str; 3] = ["GetLogIn", "BeginLogIn", "FinishLogIn"];
 
 /// Who may call a method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
     /// Anybody: health and reflection.
     Anybody,
+    /// Anybody: log-ins.
+    LogIn,
     /// Callers with at least this role.
     Least(Role),
 }
 
 /// Every method of `flip.v1`, by path.
-static METHODS: LazyLock<HashMap<String, Role>> = LazyLock::new(|| {
+static METHODS: LazyLock<HashMap<String, Access>> = LazyLock::new(|| {
     let files = FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default().file;
     let services = files.into_iter().flat_map(|file| {
         let package = file.package().to_owned();
@@ -35,17 +41,18 @@ static METHODS: LazyLock<HashMap<String, Role>> = LazyLock::new(|| {
         let name = service.name().to_owned();
         service.method.into_iter().map(move |method| {
             let path = format!("/{package}.{name}/{}", method.name());
-            (path, least(&name, method.name()))
+            (path, access_of(&name, method.name()))
         })
     });
     methods.collect()
 });
 
-fn least(service: &str, method: &str) -> Role {
+fn access_of(service: &str, method: &str) -> Access {
     match READING.iter().any(|word| method.starts_with(word)) {
-        _ if service == TOKENS => Role::Admin,
-        true => Role::Viewer,
-        false => Role::Operator,
+        _ if service == TOKENS && LOG_IN.contains(&method) => Access::LogIn,
+        _ if service == TOKENS && method != IDENTITY => Access::Least(Role::Admin),
+        true => Access::Least(Role::Viewer),
+        false => Access::Least(Role::Operator),
     }
 }
 
@@ -54,7 +61,7 @@ pub fn access(path: &str) -> Option<Access> {
     if path.starts_with("/grpc.health.v1.") || path.starts_with("/grpc.reflection.") {
         return Some(Access::Anybody);
     }
-    METHODS.get(path).map(|role| Access::Least(*role))
+    METHODS.get(path).copied()
 }
 
 /// The paths of all methods of `flip.v1`.
@@ -82,6 +89,8 @@ mod tests {
         assert_eq!(access("/flip.v1.Simulators/Predict"), Some(Access::Least(Role::Operator)));
         assert_eq!(access("/flip.v1.Weighings/GetWeighing"), Some(Access::Least(Role::Viewer)));
         assert_eq!(access("/grpc.health.v1.Health/Check"), Some(Access::Anybody));
+        assert_eq!(access("/flip.v1.Tokens/FinishLogIn"), Some(Access::LogIn));
+        assert_eq!(access("/flip.v1.Tokens/ListTokens"), Some(Access::Least(Role::Admin)));
         assert_eq!(access("/flip.v1.Weighings/Nothing"), None);
         assert!(METHODS.len() >= 54, "{}", METHODS.len());
     }

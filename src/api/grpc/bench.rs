@@ -3,7 +3,9 @@
 use super::convert::{all, page};
 use super::proto::*;
 use super::{Service, clear, read, write};
-use crate::app::{self, ClearRequest, RepeatabilityRequest, ResumeRequest};
+use crate::app::{
+    self, AuditAsked, AuditWanted, ClearRequest, NewChecklist, RepeatabilityRequest, ResumeRequest,
+};
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -14,6 +16,22 @@ impl bench_server::Bench for Service {
     ) -> Result<Response<BenchStatus>, Status> {
         read(request)?;
         Ok(Response::new(self.app.bench().await?.into()))
+    }
+
+    async fn get_checklist(
+        &self,
+        request: Request<GetChecklistRequest>,
+    ) -> Result<Response<Checklist>, Status> {
+        read(request)?;
+        Ok(Response::new(self.app.checklist().await?.into()))
+    }
+
+    async fn change_checklist(
+        &self,
+        request: Request<ChangeChecklistRequest>,
+    ) -> Result<Response<Checklist>, Status> {
+        let ChangeChecklistRequest { items } = write(request)?;
+        Ok(Response::new(self.app.change_checklist(&NewChecklist { items }).await?.into()))
     }
 
     async fn stop_bench(
@@ -76,9 +94,12 @@ impl bench_server::Bench for Service {
         &self,
         request: Request<ListAuditRequest>,
     ) -> Result<Response<ListAuditResponse>, Status> {
-        let asked = read(request)?;
-        let found = self.app.audit(asked.weighing.as_deref(), page(asked.page)).await?;
-        Ok(Response::new(ListAuditResponse { items: all(found.items), next: found.next }))
+        let ListAuditRequest { page: window, weighing, kind, person, since, until, q: text } =
+            read(request)?;
+        let wanted = AuditWanted { weighing, kind, person, text, ..AuditWanted::default() };
+        let asked = AuditAsked { wanted, since, until };
+        let app::AuditFound { page, total } = self.app.audit(asked, page(window)).await?;
+        Ok(Response::new(ListAuditResponse { items: all(page.items), next: page.next, total }))
     }
 
     async fn verify_audit(

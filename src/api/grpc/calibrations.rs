@@ -66,6 +66,7 @@ impl calibrations_server::Calibrations for Service {
         request: Request<ListCalibrationsRequest>,
     ) -> Result<Response<ListCalibrationsResponse>, Status> {
         let found = self.app.calibrations(page(read(request)?.page)).await?;
+        let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListCalibrationsResponse { items: all(found.items), next: found.next }))
     }
 
@@ -73,7 +74,8 @@ impl calibrations_server::Calibrations for Service {
         &self,
         request: Request<GetCalibrationRequest>,
     ) -> Result<Response<Calibration>, Status> {
-        Ok(Response::new(self.app.calibration(&read(request)?.id).await?.into()))
+        let found = self.app.calibration(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 
     async fn get_posterior(

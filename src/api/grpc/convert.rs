@@ -1,10 +1,9 @@
-//! Conversions between the application's types and the messages of the contract: the same fields
-//! under the same names.
+//! Conversions between the application's types and the contract's messages: the same names.
 
+pub use super::labels::page;
 use super::proto;
 use crate::api::problem::Problem;
 use crate::app;
-use crate::app::PageQuery;
 use flip_core::domain::FieldError;
 use flip_core::domain::apparatus::{Apparatus, Stroke, StrokeResponse};
 use flip_core::domain::bench::{BenchKind, Tick};
@@ -40,7 +39,7 @@ macro_rules! same_names {
 
 same_names! {
     Method = Method { Automated Manual }
-    JobKind = JobKind { Calibration Training Evaluation Investigation Repose }
+    JobKind = JobKind { Calibration Training Evaluation Investigation Repose Film }
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
     Outcome = Outcome { Within Under Over NotStable Blocked Stopped Aborted Unknown Probed }
     WeighingState = WeighingState { Planned AwaitingVial Armed Dosing Settling Done Aborted Unknown }
@@ -51,6 +50,8 @@ same_names! {
     app::TrialPhase = TrialPhase { Search Verification }
     app::Order = Order { Curriculum Random Reverse DomainRandomisation }
     app::Preset = Preset { Flip Paper }
+    app::LabelKind = LabelKind { Powder Calibration Training Policy Evaluation Investigation Simulator Weighing DoseList Repose Film }
+    app::ArchivedItems = Archived { Exclude Only Include }
     app::Verdict = Verdict { NoDiscrepancy Cause Ambiguous Unexplained Hint }
 }
 
@@ -69,19 +70,22 @@ macro_rules! same_fields {
 same_fields! {
     f: Flowability => Flowability { repose_deg sd_deg n } {}
     p: app::Powder => Powder { id name soluble } {
+        label: None,
         flowability: p.flowability.map(Into::into),
         created_at: at(p.created_at),
     }
-    m: app::Measurement => Measurement { id powder repose_deg sd_deg sd_unknown n source } {
+    m: app::Measurement => Measurement { id powder repose_deg sd_deg sd_unknown n source measured_on } {
         method: proto::Method::from(m.method).into(),
         created_at: at(m.created_at),
+        withdrawn: m.withdrawn.map(Into::into),
     }
     o: Observation => Observation { mean sd n } {
         observable: Some(o.observable.into()),
     }
-    o: app::PowderObservation => PowderObservation { id powder mean sd n source } {
+    o: app::PowderObservation => PowderObservation { id powder mean sd n source measured_on } {
         observable: Some(o.observable.into()),
         created_at: at(o.created_at),
+        withdrawn: o.withdrawn.map(Into::into),
     }
     d: app::PowderDetail => PowderDetail {} {
         powder: Some(d.powder.into()),
@@ -98,23 +102,17 @@ same_fields! {
         parameters: Some(s.parameters.into()),
         created_at: at(s.created_at),
     }
-    j: app::Job => Job { id attempts cancelling error } {
-        kind: proto::JobKind::from(j.kind).into(),
-        state: proto::JobState::from(j.state).into(),
-        fraction: j.progress.fraction,
-        message: j.progress.message,
-        created_at: at(j.created_at),
-        started_at: j.started_at.and_then(at),
-        finished_at: j.finished_at.and_then(at),
-    }
     c: app::Calibration => Calibration { powder } {
+        label: None,
         job: Some(c.job.into()),
         target: Some(c.target.into()),
         settings_json: c.settings.to_string(),
         observations: all(c.observations),
         under: c.under.map(Into::into),
+        steepness: c.steepness.map(Into::into),
         result: c.result.map(Into::into),
     }
+    s: app::Steepness => Steepness { simulated_deg difference_deg uncertainty_deg agrees } {}
     u: Under => Under { simulator } {
         conditions: u.conditions.into_iter().map(|(name, condition)| (name, condition.to_string())).collect(),
     }
@@ -165,7 +163,8 @@ same_fields! {
         phase: proto::TrialPhase::from(t.phase).into(),
         parameters: Some(t.parameters.into()),
     }
-    t: app::Training => Training { episodes } {
+    t: app::Training => Training { episodes kept_episodes } {
+        label: None,
         job: Some(t.job.into()),
         order: proto::Order::from(t.order).into(),
         preset: proto::Preset::from(t.preset).into(),
@@ -181,6 +180,7 @@ same_fields! {
         index level powder target_mg final_error_mg reward steps alpha critic_loss actor_loss
     } {}
     p: app::Policy => Policy { id kind training sha256 size_bytes } {
+        label: None,
         manifest_json: p.manifest.to_string(),
         evaluated: all(p.evaluated),
         created_at: at(p.created_at),
@@ -189,6 +189,7 @@ same_fields! {
     e: app::Evaluation => Evaluation {
         policy controllers powders targets_mg repeats readability_mg max_shakes seed
     } {
+        label: None,
         job: Some(e.job.into()),
         result: e.result.map(Into::into),
         particles: e.conditions.particles,
@@ -212,23 +213,29 @@ same_fields! {
     i: app::Investigation => Investigation {
         powders runs sessions weighings spoonfuls covariates simulations budget_runs seed simulator p_value sentence
     } {
+        label: None,
         job: Some(i.job.into()),
         verdict: i.verdict.map(|verdict| proto::Verdict::from(verdict).into()),
         // Numbers, text and lists: serializing them as JSON cannot fail.
         report_json: i.report.and_then(|report| serde_json::to_string(&report).ok()),
     }
     v: app::SimulatorVersion => SimulatorVersion { id base investigation } {
+        label: None,
         body_json: v.body.to_string(),
         created_at: at(v.created_at),
     }
     r: app::Row => PredictedRow { row powder before_deg before_sd_deg after_deg after_sd_deg } {}
-    c: app::CurrentSimulator => CurrentSimulator { simulator base before } {
+    c: app::CurrentSimulator => CurrentSimulator { simulator base before reason } {
         chosen_at: c.chosen_at.and_then(at),
+    }
+    c: app::Checklist => Checklist { items } {
+        changed_at: c.changed_at.and_then(at),
     }
     w: app::Weighing => Weighing {
         id powder target_mg tolerance_lower_mg tolerance_upper_mg policy parameter_set seed
         dispensed_mg reading_mg error_mg shakes seconds error
     } {
+        label: None,
         under: w.under.map(Into::into),
         asked: (!w.asked.is_nothing()).then(|| w.asked.into()),
         measured: w.measured.map(Into::into),
@@ -306,6 +313,7 @@ same_fields! {
     c: app::ChangedOther => ChangedOther { id seq why } { what: c.what.name().to_owned(), }
     l: app::LostArchive => LostArchive { file first last why } {}
     r: app::ReposeMeasurement => ReposeMeasurement { powder run } {
+        label: None,
         job: Some(r.job.into()),
         bench: bench_kind(r.bench),
         procedure_json: json(&r.procedure),
@@ -322,6 +330,7 @@ same_fields! {
         tip: p.measured.map(|it| it.tip.into()),
         cone: p.measured.map(|it| it.cone.into()),
         frames: p.frames.len() as u32,
+        outline: p.outline.map(Into::into),
     }
     a: Angle => PileAngle { deg u_deg u_frames_deg } {}
     r: app::ReposeResult => ReposeResult { registered } {
@@ -338,6 +347,10 @@ same_fields! {
         weighing: Some(d.weighing.into()),
         ticks: all(d.ticks),
         trace_lost: d.trace_lost,
+        stopped: d.stopped.map(Into::into),
+    }
+    s: app::Stopped => Stopped { by } {
+        at: at(s.at),
     }
     t: Tick => Tick { step t_s pitch_deg spoonful } {
         incline_change_deg: t.action.incline_change_deg,
@@ -476,12 +489,6 @@ pub fn spoon(measured: Option<proto::Spoon>) -> Option<Spoon> {
         depth_mm,
         ..Spoon::default()
     })
-}
-
-/// The requested page; by default the first.
-pub fn page(request: Option<proto::PageRequest>) -> PageQuery {
-    request
-        .map_or_else(PageQuery::default, |page| PageQuery { limit: page.limit, after: page.after })
 }
 
 pub(super) fn at(time: app::Timestamp) -> Option<Timestamp> {

@@ -38,6 +38,7 @@ impl evaluations_server::Evaluations for Service {
         request: Request<ListEvaluationsRequest>,
     ) -> Result<Response<ListEvaluationsResponse>, Status> {
         let found = self.app.evaluations(page(read(request)?.page)).await?;
+        let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListEvaluationsResponse { items: all(found.items), next: found.next }))
     }
 
@@ -45,6 +46,7 @@ impl evaluations_server::Evaluations for Service {
         &self,
         request: Request<GetEvaluationRequest>,
     ) -> Result<Response<Evaluation>, Status> {
-        Ok(Response::new(self.app.evaluation(&read(request)?.id).await?.into()))
+        let found = self.app.evaluation(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 }

@@ -7,7 +7,7 @@ use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 
 /// Names that the health service knows; the empty name stands for the whole service.
-const SERVICES: [&str; 14] = [
+const SERVICES: [&str; 15] = [
     "",
     "flip.v1.Powders",
     "flip.v1.Calibrations",
@@ -18,6 +18,7 @@ const SERVICES: [&str; 14] = [
     "flip.v1.Simulators",
     "flip.v1.Shakes",
     "flip.v1.Weighings",
+    "flip.v1.Films",
     "flip.v1.Bench",
     "flip.v1.ReposeMeasurements",
     "flip.v1.Jobs",

@@ -45,6 +45,7 @@ impl investigations_server::Investigations for Service {
         request: Request<ListInvestigationsRequest>,
     ) -> Result<Response<ListInvestigationsResponse>, Status> {
         let found = self.app.investigations(page(read(request)?.page)).await?;
+        let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListInvestigationsResponse { items: all(found.items), next: found.next }))
     }
 
@@ -52,6 +53,7 @@ impl investigations_server::Investigations for Service {
         &self,
         request: Request<GetInvestigationRequest>,
     ) -> Result<Response<Investigation>, Status> {
-        Ok(Response::new(self.app.investigation(&read(request)?.id).await?.into()))
+        let found = self.app.investigation(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 }

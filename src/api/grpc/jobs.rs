@@ -1,9 +1,9 @@
 //! `flip.v1.Jobs`.
 
-use super::convert::{all, named, page};
+use super::convert::{all, at, named, page};
 use super::proto::*;
 use super::{EventStream, Service, after, read, watch, write};
-use crate::app::Topic;
+use crate::app::{self, Topic};
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -16,11 +16,21 @@ impl jobs_server::Jobs for Service {
         let kind = named::<JobKind, _>("kind", kind.unwrap_or_default())?;
         let state = named::<JobState, _>("state", state.unwrap_or_default())?;
         let found = self.app.jobs(kind, state, page(wanted)).await?;
+        let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListJobsResponse { items: all(found.items), next: found.next }))
     }
 
+    async fn list_job_times(
+        &self,
+        request: Request<ListJobTimesRequest>,
+    ) -> Result<Response<ListJobTimesResponse>, Status> {
+        read(request)?;
+        Ok(Response::new(ListJobTimesResponse { items: all(self.app.job_times().await?) }))
+    }
+
     async fn get_job(&self, request: Request<GetJobRequest>) -> Result<Response<Job>, Status> {
-        Ok(Response::new(self.app.job(&read(request)?.id).await?.into()))
+        let found = self.app.job(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 
     async fn cancel_job(
@@ -28,6 +38,13 @@ impl jobs_server::Jobs for Service {
         request: Request<CancelJobRequest>,
     ) -> Result<Response<Job>, Status> {
         Ok(Response::new(self.app.cancel_job(&write(request)?.id).await?.into()))
+    }
+
+    async fn start_job_again(
+        &self,
+        request: Request<StartJobAgainRequest>,
+    ) -> Result<Response<StartJobResponse>, Status> {
+        Ok(Response::new(self.app.start_again(&write(request)?.id).await?.into()))
     }
 
     type WatchJobStream = EventStream;
@@ -39,5 +56,39 @@ impl jobs_server::Jobs for Service {
         let WatchRequest { id, after_seq } = read(request)?;
         let events = self.app.events(Topic::Job(id), after(after_seq)?).await?;
         Ok(Response::new(watch(events)))
+    }
+}
+
+impl From<app::JobTimes> for JobTimes {
+    fn from(it: app::JobTimes) -> Self {
+        let app::JobTimes { sort, n, lower_s, median_s, upper_s } = it;
+        let kind = JobKind::from(sort.kind).into();
+        Self { kind, method: sort.method, n, lower_s, median_s, upper_s }
+    }
+}
+
+impl From<app::Job> for Job {
+    fn from(j: app::Job) -> Self {
+        Self {
+            id: j.id,
+            kind: JobKind::from(j.kind).into(),
+            state: JobState::from(j.state).into(),
+            fraction: j.progress.fraction,
+            message: j.progress.message,
+            attempts: j.attempts,
+            cancelling: j.cancelling,
+            created_at: at(j.created_at),
+            started_at: j.started_at.and_then(at),
+            finished_at: j.finished_at.and_then(at),
+            error: j.error,
+            label: None,
+            powders: j.subject.powders,
+            policy: j.subject.policy,
+            repose_deg: j.subject.repose_deg,
+            left_s: j.left_s,
+            place: j.place,
+            expected_s: j.expected_s,
+            again_of: j.again_of,
+        }
     }
 }

@@ -7,9 +7,11 @@ mod calibrations;
 mod card;
 mod convert;
 mod evaluations;
+mod films;
 mod health;
 mod investigations;
 mod jobs;
+mod labels;
 mod policies;
 mod powders;
 mod repose;
@@ -36,8 +38,10 @@ use futures::stream::BoxStream;
 use proto::bench_server::BenchServer;
 use proto::calibrations_server::CalibrationsServer;
 use proto::evaluations_server::EvaluationsServer;
+use proto::films_server::FilmsServer;
 use proto::investigations_server::InvestigationsServer;
 use proto::jobs_server::JobsServer;
+use proto::labels_server::LabelsServer;
 use proto::policies_server::PoliciesServer;
 use proto::powders_server::PowdersServer;
 use proto::repose_measurements_server::ReposeMeasurementsServer;
@@ -96,9 +100,11 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(SimulatorsServer, LARGE_BYTES_MAX))
         .add_service(limited!(ShakesServer, LARGE_BYTES_MAX))
         .add_service(limited!(WeighingsServer))
+        .add_service(limited!(FilmsServer))
         .add_service(limited!(BenchServer))
         .add_service(frames)
         .add_service(limited!(JobsServer))
+        .add_service(limited!(LabelsServer))
         .add_service(limited!(TokensServer))
         .into_axum_router()
         .reset_fallback()

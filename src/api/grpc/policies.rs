@@ -8,7 +8,7 @@ use futures::stream::{self, BoxStream};
 use tonic::{Request, Response, Status};
 
 /// Chunk size of a download, bytes; gRPC clients refuse messages above 4 MiB.
-const CHUNK_BYTES: usize = 256 * 1024;
+pub(super) const CHUNK_BYTES: usize = 256 * 1024;
 
 #[tonic::async_trait]
 impl policies_server::Policies for Service {
@@ -17,6 +17,7 @@ impl policies_server::Policies for Service {
         request: Request<ListPoliciesRequest>,
     ) -> Result<Response<ListPoliciesResponse>, Status> {
         let found = self.app.policies(page(read(request)?.page)).await?;
+        let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListPoliciesResponse { items: all(found.items), next: found.next }))
     }
 
@@ -24,7 +25,8 @@ impl policies_server::Policies for Service {
         &self,
         request: Request<GetPolicyRequest>,
     ) -> Result<Response<Policy>, Status> {
-        Ok(Response::new(self.app.policy(&read(request)?.id).await?.into()))
+        let found = self.app.policy(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 
     type DownloadWeightsStream = BoxStream<'static, Result<DownloadWeightsResponse, Status>>;

@@ -6,6 +6,7 @@ use super::{Service, read, write};
 use crate::api::problem::Problem;
 use crate::app::{FrameUpload, ReposeRequest};
 use flip_core::domain::FieldError;
+use flip_core::domain::pile::Outline;
 use serde::de::DeserializeOwned;
 use tonic::{Request, Response, Status};
 
@@ -39,6 +40,7 @@ impl repose_measurements_server::ReposeMeasurements for Service {
         request: Request<ListReposeMeasurementsRequest>,
     ) -> Result<Response<ListReposeMeasurementsResponse>, Status> {
         let found = self.app.reposes(page(read(request)?.page)).await?;
+        let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListReposeMeasurementsResponse {
             items: all(found.items),
             next: found.next,
@@ -49,7 +51,8 @@ impl repose_measurements_server::ReposeMeasurements for Service {
         &self,
         request: Request<GetReposeMeasurementRequest>,
     ) -> Result<Response<ReposeMeasurement>, Status> {
-        Ok(Response::new(self.app.repose(&read(request)?.id).await?.into()))
+        let found = self.app.repose(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 
     async fn add_frame(
@@ -87,4 +90,31 @@ fn written<T: DeserializeOwned + Default>(field: &str, text: Option<String>) -> 
         })
     };
     text.map_or_else(|| Ok(T::default()), read)
+}
+
+impl From<Outline> for PileOutline {
+    fn from(it: Outline) -> Self {
+        let Outline { size: [width, height], tip, apex, base, rim, cone, flank, points } = it;
+        let pixel = |[x, y]: [f64; 2]| Some(Pixel { x, y });
+        let pixels = |all: Vec<[f64; 2]>| all.into_iter().filter_map(pixel).collect();
+        let [base_left, base_right] = base.map(pixel);
+        let [cone_left, cone_point, cone_right] = cone.map(pixel);
+        let [flank_low, flank_high] = flank.map(pixels);
+        let points = points.into_iter().map(|p| p.map(f64::from)).collect();
+        Self {
+            width,
+            height,
+            tip: pixel(tip),
+            apex: pixel(apex),
+            base_left,
+            base_right,
+            rim: pixels(rim),
+            cone_left,
+            cone_point,
+            cone_right,
+            flank_low,
+            flank_high,
+            points: pixels(points),
+        }
+    }
 }

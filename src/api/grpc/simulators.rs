@@ -13,6 +13,7 @@ impl simulators_server::Simulators for Service {
         request: Request<ListSimulatorsRequest>,
     ) -> Result<Response<ListSimulatorsResponse>, Status> {
         let found = self.app.simulators(page(read(request)?.page)).await?;
+        let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListSimulatorsResponse { items: all(found.items), next: found.next }))
     }
 
@@ -20,7 +21,8 @@ impl simulators_server::Simulators for Service {
         &self,
         request: Request<GetSimulatorRequest>,
     ) -> Result<Response<SimulatorVersion>, Status> {
-        Ok(Response::new(self.app.simulator(&read(request)?.id).await?.into()))
+        let found = self.app.simulator(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 
     async fn predict(
@@ -45,7 +47,8 @@ impl simulators_server::Simulators for Service {
         &self,
         request: Request<ChooseSimulatorRequest>,
     ) -> Result<Response<CurrentSimulator>, Status> {
-        let ChooseSimulatorRequest { simulator } = write(request)?;
-        Ok(Response::new(self.app.choose_simulator(&ChosenSimulator { simulator }).await?.into()))
+        let ChooseSimulatorRequest { simulator, reason } = write(request)?;
+        let chosen = ChosenSimulator { simulator, reason };
+        Ok(Response::new(self.app.choose_simulator(&chosen).await?.into()))
     }
 }

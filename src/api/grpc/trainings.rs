@@ -34,6 +34,7 @@ impl trainings_server::Trainings for Service {
         request: Request<ListTrainingsRequest>,
     ) -> Result<Response<ListTrainingsResponse>, Status> {
         let found = self.app.trainings(page(read(request)?.page)).await?;
+        let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListTrainingsResponse { items: all(found.items), next: found.next }))
     }
 
@@ -41,7 +42,8 @@ impl trainings_server::Trainings for Service {
         &self,
         request: Request<GetTrainingRequest>,
     ) -> Result<Response<Training>, Status> {
-        Ok(Response::new(self.app.training(&read(request)?.id).await?.into()))
+        let found = self.app.training(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 
     async fn list_episodes(

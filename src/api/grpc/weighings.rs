@@ -7,7 +7,7 @@ use super::{EventStream, Service, after, read, watch, write};
 use crate::api::problem::Problem;
 use crate::app;
 use crate::app::Topic;
-use crate::app::{WeighingRequest, WeighingsAsked, WeighingsWanted};
+use crate::app::{DoseListRequest, WeighingRequest, WeighingsAsked, WeighingsWanted};
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -16,22 +16,37 @@ impl weighings_server::Weighings for Service {
         &self,
         request: Request<StartWeighingRequest>,
     ) -> Result<Response<StartWeighingResponse>, Status> {
+        let (request, key) = dose(write(request)?)?;
+        let (weighing, replayed) = self.app.start_weighing(request, &key).await?;
+        Ok(Response::new(StartWeighingResponse { weighing: Some(weighing.into()), replayed }))
+    }
+
+    async fn start_dose_list(
+        &self,
+        request: Request<StartDoseListRequest>,
+    ) -> Result<Response<StartDoseListResponse>, Status> {
         let asked = write(request)?;
         let vial_check = Option::<app::VialCheck>::from(asked.vial_check()).unwrap_or_default();
-        let request = WeighingRequest {
-            powder: asked.powder,
-            target: target(asked.target)?,
-            tolerance: tolerance(asked.tolerance)?,
+        let doses: Result<Vec<_>, Problem> =
+            asked.doses.into_iter().map(|one| Ok(dose(one)?.0)).collect();
+        let request = DoseListRequest {
+            name: asked.name,
+            doses: doses?,
+            table: asked.table,
+            tolerance: asked.tolerance.map(|given| tolerance(Some(given))).transpose()?,
+            operator: asked.operator,
+            checked: asked.checked,
             policy: asked.policy,
-            seed: asked.seed,
-            simulator: asked.simulator,
-            conditions: conditions(asked.conditions),
             vial_check,
             reservation: asked.reservation,
-            asked: asked.asked.map(purpose).unwrap_or_default(),
+            check: asked.check,
         };
-        let (weighing, replayed) = self.app.start_weighing(request, &asked.idempotency_key).await?;
-        Ok(Response::new(StartWeighingResponse { weighing: Some(weighing.into()), replayed }))
+        let (list, replayed) = match request.check {
+            true => (self.app.check_dose_list(request).await?, false),
+            false => self.app.start_dose_list(request, &asked.idempotency_key).await?,
+        };
+        let app::DoseList { name, doses } = list;
+        Ok(Response::new(StartDoseListResponse { name, doses: all(doses), replayed }))
     }
 
     async fn characterise(
@@ -54,10 +69,12 @@ impl weighings_server::Weighings for Service {
             lot: asked.lot,
             vial: asked.vial,
             operator: asked.operator,
+            list: asked.list,
             policy: asked.policy,
             bench: bench.transpose()?,
             state: named::<WeighingState, _>("state", asked.state)?,
             outcome: named::<Outcome, _>("outcome", asked.outcome)?,
+            outside: asked.outside,
             text: asked.q,
             sort: named::<WeighingSort, _>("sort", asked.sort)?.unwrap_or_default(),
             ..WeighingsWanted::default()
@@ -65,6 +82,7 @@ impl weighings_server::Weighings for Service {
         let wanted = WeighingsAsked { wanted, since: asked.since, until: asked.until };
         let window = page(asked.page);
         let app::WeighingsFound { page, total } = self.app.weighings(wanted, window).await?;
+        let page = self.app.all_labelled(page).await?;
         Ok(Response::new(ListWeighingsResponse { items: all(page.items), next: page.next, total }))
     }
 
@@ -72,7 +90,21 @@ impl weighings_server::Weighings for Service {
         &self,
         request: Request<GetWeighingRequest>,
     ) -> Result<Response<WeighingDetail>, Status> {
-        Ok(Response::new(self.app.weighing(&read(request)?.id).await?.into()))
+        let found = self.app.weighing(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
+    }
+
+    async fn get_certificate(
+        &self,
+        request: Request<GetCertificateRequest>,
+    ) -> Result<Response<Certificate>, Status> {
+        let GetCertificateRequest { id, list } = read(request)?;
+        let html = match (id, list) {
+            (Some(id), None) => self.app.certificate(&id, None).await?,
+            (None, Some(list)) => self.app.list_certificate(&list).await?,
+            _ => return Err(missing("id").into()),
+        };
+        Ok(Response::new(Certificate { html }))
     }
 
     async fn stop_weighing(
@@ -104,16 +136,51 @@ impl weighings_server::Weighings for Service {
     }
 }
 
+/// A dose, and its key.
+fn dose(asked: StartWeighingRequest) -> Result<(WeighingRequest, String), Problem> {
+    let vial_check = Option::<app::VialCheck>::from(asked.vial_check()).unwrap_or_default();
+    let request = WeighingRequest {
+        powder: asked.powder,
+        target: target(asked.target)?,
+        tolerance: tolerance(asked.tolerance)?,
+        policy: asked.policy,
+        seed: asked.seed,
+        simulator: asked.simulator,
+        conditions: conditions(asked.conditions),
+        vial_check,
+        reservation: asked.reservation,
+        asked: asked.asked.map(purpose).unwrap_or_default(),
+    };
+    Ok((request, asked.idempotency_key))
+}
+
+impl From<app::ListedDose> for ListedDose {
+    fn from(dose: app::ListedDose) -> Self {
+        Self {
+            weighing: dose.weighing,
+            powder: dose.powder,
+            target_mg: dose.target_mg,
+            tolerance_lower_mg: dose.tolerance_lower_mg,
+            tolerance_upper_mg: dose.tolerance_upper_mg,
+            policy: dose.policy,
+            asked: Some(dose.asked).filter(|asked| !asked.is_nothing()).map(Into::into),
+        }
+    }
+}
+
 fn purpose(asked: Asked) -> app::Asked {
     let Asked {
         lot,
         vial,
         operator,
+        list,
+        position,
         temperature_c,
         relative_humidity_pct,
         accuracy_pct,
         retries_max,
         probe_spoonfuls,
+        checked,
     } = asked;
     let on_overdose = match retries_max {
         0 => app::OnOverdose::Stop,
@@ -123,9 +190,12 @@ fn purpose(asked: Asked) -> app::Asked {
         lot,
         vial,
         operator,
+        list,
+        position,
         temperature_c,
         relative_humidity_pct,
         accuracy_pct,
+        checked,
         on_overdose,
         probe: probe_spoonfuls.map(|spoonfuls| app::Probe { spoonfuls }),
     }
@@ -137,6 +207,8 @@ impl From<app::Asked> for Asked {
             lot: asked.lot,
             vial: asked.vial,
             operator: asked.operator,
+            list: asked.list,
+            position: asked.position,
             temperature_c: asked.temperature_c,
             relative_humidity_pct: asked.relative_humidity_pct,
             accuracy_pct: asked.accuracy_pct,
@@ -145,6 +217,7 @@ impl From<app::Asked> for Asked {
                 app::OnOverdose::DiscardAndRetry { max } => max,
             },
             probe_spoonfuls: asked.probe.map(|probe| probe.spoonfuls),
+            checked: asked.checked,
         }
     }
 }

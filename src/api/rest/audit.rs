@@ -2,13 +2,13 @@
 
 use super::answer;
 use super::extract::Query;
-use super::list::{ListParams, respond};
+use super::list::{ListParams, to_next};
 use super::{csv_pieces, pieces};
 use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
-use crate::api::wire::{Answer, AuditRecord, AuditVerification, Page};
+use crate::api::wire::{Answer, AuditFound, AuditRecord, AuditVerification};
 use crate::app;
-use crate::app::{AUDIT_CSV_HEADER, App, audit_csv};
+use crate::app::{AUDIT_CSV_HEADER, App, AuditAsked, AuditWanted, audit_csv};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::header;
@@ -28,6 +28,18 @@ pub struct AuditParams {
     after: Option<String>,
     /// Only records of this weighing.
     weighing: Option<String>,
+    /// Only of this kind: `intent`, `state`, `sent`, `received`, `reading`, `decision`, `outcome`,
+    /// `person`, `latch`, `hold`, `check`, `pile`, `rows` or `stock`.
+    kind: Option<String>,
+    /// Words, each of which stands in the name of the person who acted, signed or is the operator;
+    /// up to 200 characters.
+    person: Option<String>,
+    /// On this day (UTC) or later, `2026-11-24`, or from this time on, `2026-11-24T08:00:00Z`.
+    since: Option<String>,
+    /// On this day (UTC) or earlier, or before this time.
+    until: Option<String>,
+    /// Words, each of which stands in the weighing, the kind or the contents; up to 200 characters.
+    q: Option<String>,
 }
 
 /// A hash kept elsewhere.
@@ -38,25 +50,46 @@ pub struct VerifyParams {
     hash: Option<String>,
 }
 
-/// One weighing, or all.
+/// Which records are downloaded.
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 pub struct ExportParams {
     /// Only records of this weighing.
     weighing: Option<String>,
+    /// Only of this kind.
+    kind: Option<String>,
+    /// Words in the name of a person.
+    person: Option<String>,
+    /// On this day (UTC) or later, or from this time on.
+    since: Option<String>,
+    /// On this day (UTC) or earlier, or before this time.
+    until: Option<String>,
+    /// Words in the weighing, the kind or the contents.
+    q: Option<String>,
 }
 
-/// List the audit trail, newest first.
+impl ExportParams {
+    fn asked(self) -> AuditAsked {
+        let Self { weighing, kind, person, since, until, q: text } = self;
+        let wanted = AuditWanted { weighing, kind, person, text, ..AuditWanted::default() };
+        AuditAsked { wanted, since, until }
+    }
+}
+
+/// List the audit trail, newest first: all of it, or the records that match, and how many they are.
 #[utoipa::path(get, path = "/v1/audit", tag = "audit", params(AuditParams),
-    responses((status = 200, description = "A page of records", body = Page<AuditRecord>)))]
+    responses((status = 200, description = "A page of records", body = AuditFound)))]
 pub async fn list_audit(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
     Query(params): Query<AuditParams>,
 ) -> Result<Response, Problem> {
-    let page = ListParams { limit: params.limit, after: params.after };
-    Ok(respond(&uri, app.audit(params.weighing.as_deref(), page.into()).await?))
+    let AuditParams { limit, after, weighing, kind, person, since, until, q } = params;
+    let asked = ExportParams { weighing, kind, person, since, until, q }.asked();
+    let found = app.audit(asked, ListParams { limit, after }.into()).await?;
+    let link = to_next(&uri, found.page.next.as_deref());
+    Ok((link, answer(found)).into_response())
 }
 
 /// Verify that the audit trail is intact.
@@ -81,7 +114,7 @@ pub async fn export_audit(
     State(app): State<App>,
     Query(params): Query<ExportParams>,
 ) -> Result<Response, Problem> {
-    let batches = app.audit_trail(params.weighing).enumerate();
+    let batches = app.audit_trail(params.asked())?.enumerate();
     let begun =
         batches.map(|(k, batch)| Ok(format!("{}{}", ["[", ","][k.min(1)], json_items(batch?)?)));
     let document = begun.chain(stream::once(async { Ok("]".to_owned()) }));
@@ -106,7 +139,7 @@ pub async fn export_audit_csv(
     State(app): State<App>,
     Query(params): Query<ExportParams>,
 ) -> Result<Response, Problem> {
-    let batches = app.audit_trail(params.weighing).enumerate();
+    let batches = app.audit_trail(params.asked())?.enumerate();
     let lines = batches.map(|(k, batch)| {
         let lines: String = batch?.iter().map(audit_csv).collect();
         Ok([AUDIT_CSV_HEADER, ""][k.min(1)].to_owned() + &lines)

@@ -5,8 +5,8 @@ use super::extract::{Input, Path};
 use crate::api::auth::{Clearer, Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{
-    BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest, Reservation,
-    ReservationRequest, ResumeRequest,
+    BenchStatus, Checklist, ClearRequest, NewChecklist, Repeatability, RepeatabilityRequest,
+    Reservation, ReservationRequest, ResumeRequest,
 };
 use crate::app::App;
 use axum::Json;
@@ -103,4 +103,24 @@ pub async fn check_repeatability(
     Input(request): Input<RepeatabilityRequest>,
 ) -> Result<Json<Repeatability>, Problem> {
     Ok(answer(app.check_repeatability(request).await?))
+}
+
+/// What a person checks before a dose.
+///
+/// Name what was confirmed in `asked.checked` of the weighing.
+#[utoipa::path(get, path = "/v1/bench/checklist", tag = "bench",
+    responses((status = 200, description = "The checklist", body = Checklist)))]
+pub async fn get_checklist(_: Viewer, State(app): State<App>) -> Result<Json<Checklist>, Problem> {
+    Ok(answer(app.checklist().await?))
+}
+
+/// Replace the checklist, for everyone; an empty one asks for nothing.
+#[utoipa::path(put, path = "/v1/bench/checklist", tag = "bench", request_body = NewChecklist,
+    responses((status = 200, description = "The checklist", body = Checklist)))]
+pub async fn change_checklist(
+    _: Operator,
+    State(app): State<App>,
+    Input(new): Input<NewChecklist>,
+) -> Result<Json<Checklist>, Problem> {
+    Ok(answer(app.change_checklist(&new).await?))
 }

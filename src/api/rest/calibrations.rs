@@ -2,11 +2,13 @@
 
 use super::answer;
 use super::extract::{Input, Path, Query};
-use super::list::{ListParams, SeriesParams, respond};
+use super::list::{LabelledParams, SeriesParams, respond};
 use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{Calibration, CalibrationRequest, Comparison, Job, Page, Posterior, Trial};
+use crate::api::wire::{
+    Calibration, CalibrationRequest, Comparison, Job, Labelled, Page, Posterior, Trial,
+};
 use crate::app::App;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
@@ -14,15 +16,16 @@ use axum::response::Response;
 use serde::Deserialize;
 
 /// List calibrations, newest first.
-#[utoipa::path(get, path = "/v1/calibrations", tag = "calibrations", params(ListParams),
-    responses((status = 200, description = "A page of calibrations", body = Page<Calibration>)))]
+#[utoipa::path(get, path = "/v1/calibrations", tag = "calibrations", params(LabelledParams),
+    responses((status = 200, description = "A page of calibrations", body = Page<Labelled<Calibration>>)))]
 pub async fn list_calibrations(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<LabelledParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.calibrations(params.into()).await?))
+    let found = app.calibrations(params.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
 }
 
 /// Queue a calibration.
@@ -43,13 +46,13 @@ pub async fn start_calibration(
 /// One calibration.
 #[utoipa::path(get, path = "/v1/calibrations/{id}", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration, same as its job's id")),
-    responses((status = 200, description = "The calibration", body = Calibration)))]
+    responses((status = 200, description = "The calibration", body = Labelled<Calibration>)))]
 pub async fn get_calibration(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<Calibration>, Problem> {
-    Ok(answer(app.calibration(&id).await?))
+) -> Result<Json<Labelled<Calibration>>, Problem> {
+    Ok(answer(app.labelled(app.calibration(&id).await?).await?))
 }
 
 /// The posterior over the nine parameters.

@@ -2,6 +2,7 @@
 
 use super::extract::{BODY_BYTES_MAX, LARGE_BYTES_MAX};
 use crate::api::problem::{CONTENT_TYPE, Problem};
+use crate::api::wire::{Labelled, Powder};
 use utoipa::openapi::path::{Operation, PathItem};
 use utoipa::openapi::schema::{ArrayBuilder, Schema};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
@@ -18,7 +19,8 @@ const TOKEN: &str = "token";
             seconds, unless a name says otherwise. Reading needs no token on a loopback address; writing always does. \
             Every refusal is an RFC 9457 problem that names the fields at fault."
     ),
-    components(schemas(Problem)),
+    // Of generic bodies within generic bodies only the outer one is found.
+    components(schemas(Problem, Labelled<Powder>)),
     tags(
         (name = "powders", description = "Real powders and their measured flowability"),
         (name = "shakes", description = "What spoons let fall, shake by shake: of weighings, and imported"),
@@ -29,7 +31,9 @@ const TOKEN: &str = "token";
         (name = "evaluations", description = "A policy's errors on the simulated bench"),
         (name = "investigations", description = "What the simulator gets wrong, and why"),
         (name = "weighings", description = "Doses of powder"),
-        (name = "jobs", description = "Long computations: follow, cancel"),
+        (name = "jobs", description = "Long computations: follow, cancel, start again"),
+        (name = "labels", description = "Names, notes and tags of everything, and what lists hide"),
+        (name = "films", description = "What the grains of a weighing or a heap did, made again by the simulator"),
         (name = "events", description = "All events, live"),
         (name = "tokens", description = "Keys for programs and people"),
     ),

@@ -3,26 +3,27 @@
 
 use super::answer;
 use super::extract::{Input, Path, Query};
-use super::list::{ListParams, respond};
+use super::list::{LabelledParams, respond};
 use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{Evaluation, EvaluationRequest, Job, Page};
+use crate::api::wire::{Evaluation, EvaluationRequest, Job, Labelled, Page};
 use crate::app::App;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
 /// List evaluations, newest first.
-#[utoipa::path(get, path = "/v1/evaluations", tag = "evaluations", params(ListParams),
-    responses((status = 200, description = "A page of evaluations", body = Page<Evaluation>)))]
+#[utoipa::path(get, path = "/v1/evaluations", tag = "evaluations", params(LabelledParams),
+    responses((status = 200, description = "A page of evaluations", body = Page<Labelled<Evaluation>>)))]
 pub async fn list_evaluations(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<LabelledParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.evaluations(params.into()).await?))
+    let found = app.evaluations(params.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
 }
 
 /// Queue an evaluation.
@@ -43,11 +44,11 @@ pub async fn start_evaluation(
 /// One evaluation.
 #[utoipa::path(get, path = "/v1/evaluations/{id}", tag = "evaluations",
     params(("id" = String, Path, description = "Id of the evaluation, same as its job's id")),
-    responses((status = 200, description = "The evaluation", body = Evaluation)))]
+    responses((status = 200, description = "The evaluation", body = Labelled<Evaluation>)))]
 pub async fn get_evaluation(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<Evaluation>, Problem> {
-    Ok(answer(app.evaluation(&id).await?))
+) -> Result<Json<Labelled<Evaluation>>, Problem> {
+    Ok(answer(app.labelled(app.evaluation(&id).await?).await?))
 }

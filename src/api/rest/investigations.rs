@@ -3,11 +3,11 @@
 
 use super::answer;
 use super::extract::{Large, Path, Query};
-use super::list::{ListParams, respond};
+use super::list::{LabelledParams, respond};
 use super::{csv_file, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{Investigation, InvestigationRequest, Job, Page};
+use crate::api::wire::{Investigation, InvestigationRequest, Job, Labelled, Page};
 use crate::app::App;
 use crate::app::{document, report_html};
 use axum::Json;
@@ -17,15 +17,16 @@ use axum::response::{Html, IntoResponse, Response};
 use serde::Deserialize;
 
 /// List investigations, newest first, without their reports.
-#[utoipa::path(get, path = "/v1/investigations", tag = "investigations", params(ListParams),
-    responses((status = 200, description = "A page of investigations", body = Page<Investigation>)))]
+#[utoipa::path(get, path = "/v1/investigations", tag = "investigations", params(LabelledParams),
+    responses((status = 200, description = "A page of investigations", body = Page<Labelled<Investigation>>)))]
 pub async fn list_investigations(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<LabelledParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.investigations(params.into()).await?))
+    let found = app.investigations(params.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
 }
 
 /// Queue an investigation of a campaign, or of all stored measurements.
@@ -44,13 +45,13 @@ pub async fn start_investigation(
 /// One investigation, with its report once it has succeeded.
 #[utoipa::path(get, path = "/v1/investigations/{id}", tag = "investigations",
     params(("id" = String, Path, description = "Id of the investigation, same as its job's id")),
-    responses((status = 200, description = "The investigation", body = Investigation)))]
+    responses((status = 200, description = "The investigation", body = Labelled<Investigation>)))]
 pub async fn get_investigation(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<Investigation>, Problem> {
-    Ok(answer(app.investigation(&id).await?))
+) -> Result<Json<Labelled<Investigation>>, Problem> {
+    Ok(answer(app.labelled(app.investigation(&id).await?).await?))
 }
 
 /// Download the angle of every row of the file, before and after the extension of the simulator.

@@ -3,12 +3,12 @@
 use super::accepted;
 use super::answer;
 use super::extract::{Path, Query};
-use super::list::respond;
+use super::list::{LabelledParams, respond};
+use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{Job, JobKind, JobState, Page, Request};
+use crate::api::wire::{ArchivedItems, Job, JobKind, JobState, JobTimes, Labelled, Page, Request};
 use crate::app::App;
-use crate::app::PageQuery;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -30,30 +30,50 @@ pub struct JobParams {
     /// Only jobs in this state.
     #[param(inline)]
     state: Option<JobState>,
+    /// Whether archived ones are listed.
+    #[serde(default)]
+    #[param(inline)]
+    archived: ArchivedItems,
+    /// Only with this tag.
+    tag: Option<String>,
 }
 
 /// List jobs, newest first.
 #[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(JobParams),
-    responses((status = 200, description = "A page of jobs", body = Page<Job>)))]
+    responses((status = 200, description = "A page of jobs", body = Page<Labelled<Job>>)))]
 pub async fn list_jobs(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
     Query(params): Query<JobParams>,
 ) -> Result<Response, Problem> {
-    let page = PageQuery { limit: params.limit, after: params.after };
-    Ok(respond(&uri, app.jobs(params.kind.means(), params.state.means(), page).await?))
+    let JobParams { limit, after, kind, state, archived, tag } = params;
+    let page = LabelledParams { limit, after, archived, tag };
+    let found = app.jobs(kind.means(), state.means(), page.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
+}
+
+/// How long jobs took on this machine.
+///
+/// Of each kind, and of calibrations by their method; none of a sort of which none has succeeded.
+#[utoipa::path(get, path = "/v1/jobs/times", tag = "jobs",
+    responses((status = 200, description = "Quartiles of each sort", body = Vec<JobTimes>)))]
+pub async fn list_job_times(
+    _: Viewer,
+    State(app): State<App>,
+) -> Result<Json<Vec<JobTimes>>, Problem> {
+    Ok(answer(app.job_times().await?))
 }
 
 /// One job.
 #[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path, description = "Job id")),
-    responses((status = 200, description = "The job", body = Job)))]
+    responses((status = 200, description = "The job", body = Labelled<Job>)))]
 pub async fn get_job(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<Job>, Problem> {
-    Ok(answer(app.job(&id).await?))
+) -> Result<Json<Labelled<Job>>, Problem> {
+    Ok(answer(app.labelled(app.job(&id).await?).await?))
 }
 
 /// Cancel a job.
@@ -69,4 +89,21 @@ pub async fn cancel_job(
 ) -> Result<Response, Problem> {
     let job = app.cancel_job(&id).await?;
     Ok(accepted(format!("/v1/jobs/{}", job.id), job))
+}
+
+/// Start a failed or cancelled job again.
+///
+/// The same inputs, as a new job whose `again_of` is the old one.
+#[utoipa::path(post, path = "/v1/jobs/{id}/again", tag = "jobs", params(("id" = String, Path, description = "Job id")),
+    responses((status = 202, description = "The new job", body = Job,
+        headers(("Location" = String, description = "URL of the new job"))),
+        (status = 200, description = "An equal job was requested meanwhile: that one", body = Job),
+        (status = 409, description = "It did not fail and was not cancelled, was for another simulator, or the bench cannot be used", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn start_job_again(
+    _: Operator,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
+    Ok(started("jobs", app.start_again(&id).await?))
 }

@@ -1,8 +1,8 @@
 //! Paginated lists: `?limit=&after=` in, `{items, next}` and a `Link` header out.
 
 use super::answer;
-use crate::api::wire::Answer;
-use crate::app::{Page, PageQuery};
+use crate::api::wire::{Answer, ArchivedItems, Request};
+use crate::app::{Page, PageQuery, Shown};
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -19,6 +19,24 @@ pub struct ListParams {
     pub after: Option<String>,
 }
 
+/// Which page of a list of things with labels.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct LabelledParams {
+    /// Items on the page, 1 to 200.
+    #[param(minimum = 1, maximum = 200, default = 50)]
+    pub limit: Option<u32>,
+    /// `next` of the previous page.
+    pub after: Option<String>,
+    /// Whether archived ones are listed.
+    #[serde(default)]
+    #[param(inline)]
+    pub archived: ArchivedItems,
+    /// Only with this tag.
+    pub tag: Option<String>,
+}
+
 /// Which page of a series drawn as a curve.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -33,13 +51,21 @@ pub struct SeriesParams {
 
 impl From<ListParams> for PageQuery {
     fn from(params: ListParams) -> Self {
-        Self { limit: params.limit, after: params.after }
+        Self { limit: params.limit, after: params.after, ..Self::default() }
+    }
+}
+
+impl From<LabelledParams> for PageQuery {
+    fn from(params: LabelledParams) -> Self {
+        let LabelledParams { limit, after, archived, tag } = params;
+        let tag = tag.filter(|tag| !tag.trim().is_empty());
+        Self { limit, after, shown: Shown { archived: archived.means(), tag } }
     }
 }
 
 impl From<SeriesParams> for PageQuery {
     fn from(params: SeriesParams) -> Self {
-        Self { limit: params.limit, after: params.after }
+        Self { limit: params.limit, after: params.after, ..Self::default() }
     }
 }
 

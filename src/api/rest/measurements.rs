@@ -94,8 +94,9 @@ pub struct ImportParams {
 /// Columns: `powder` (id or name); `method` (automated or camera, manual); `repose_deg`, or
 /// `height_mm` with `base_diameter_mm` and optionally `funnel_height_mm`; `flow_time_s` with
 /// `poured_mass_g` and `orifice_mm`; `shake_mg` with `spoon_pitch_deg` and `shake_mm`;
-/// `drained_deg`; `pile_height_mm` with `base_diameter_mm` and `fall_mm`; `source`. A row is one
-/// repeat, and repeats of one powder, method, source and experiment are combined. With `n` and the
+/// `drained_deg`; `pile_height_mm` with `base_diameter_mm` and `fall_mm`; `source`; `date`, as
+/// 2026-02-03. A row is one repeat, and repeats of one powder, method, source, day and experiment
+/// are combined. With `n` and the
 /// SD (`repose_sd_deg`, `flow_time_sd_s`, `shake_sd_mg`, `drained_sd_deg`, `pile_height_sd_mm`) a
 /// row is a summary; a single value (`n` 1) has no SD. Separators are commas, semicolons or tabs;
 /// decimals take a point or a comma. Empty cells, `NA` and the like are missing values. A refusal

@@ -5,13 +5,17 @@ mod audit;
 mod bench;
 mod calibrations;
 mod characterisations;
+mod corrections;
 mod document;
 mod evaluations;
 mod events;
 pub mod extract;
+mod films;
 mod investigations;
 mod jobs;
+mod labels;
 mod list;
+mod login;
 mod measurements;
 mod parameters;
 mod policies;
@@ -51,6 +55,10 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(characterisations::get_card))
         .routes(routes!(measurements::list_measurements, measurements::add_measurement))
         .routes(routes!(measurements::list_observations, measurements::add_observation))
+        .routes(routes!(corrections::withdraw_measurement))
+        .routes(routes!(corrections::correct_measurement))
+        .routes(routes!(corrections::withdraw_observation))
+        .routes(routes!(corrections::correct_observation))
         .routes(routes!(measurements::export_measurements))
         .routes(routes!(measurements::export_powder_measurements))
         .routes(routes!(repose::compare_methods))
@@ -74,6 +82,9 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(policies::download_policy_weights))
         .routes(routes!(evaluations::list_evaluations, evaluations::start_evaluation))
         .routes(routes!(evaluations::get_evaluation))
+        .routes(routes!(films::list_films, films::start_film))
+        .routes(routes!(films::get_film))
+        .routes(routes!(films::download_film))
         .routes(routes!(investigations::list_investigations))
         .routes(routes!(investigations::get_investigation))
         .routes(routes!(investigations::download_predictions))
@@ -84,6 +95,8 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(simulators::get_current_simulator, simulators::choose_simulator))
         .routes(routes!(simulators::get_simulator))
         .routes(routes!(weighings::list_weighings, weighings::start_weighing))
+        .routes(routes!(weighings::start_dose_list))
+        .routes(routes!(weighings::get_list_certificate))
         .routes(routes!(characterisations::characterise))
         .routes(routes!(weighings::get_weighing))
         .routes(routes!(weighings::get_trace))
@@ -98,18 +111,26 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(bench::reserve_bench))
         .routes(routes!(bench::release_bench))
         .routes(routes!(bench::check_repeatability))
+        .routes(routes!(bench::get_checklist, bench::change_checklist))
         .routes(routes!(audit::list_audit))
         .routes(routes!(audit::verify_audit))
         .routes(routes!(audit::export_audit))
         .routes(routes!(audit::export_audit_csv))
         .routes(routes!(jobs::list_jobs))
+        .routes(routes!(jobs::list_job_times))
         .routes(routes!(jobs::get_job))
         .routes(routes!(jobs::cancel_job))
+        .routes(routes!(jobs::start_job_again))
+        .routes(routes!(labels::list_labels))
+        .routes(routes!(labels::get_label, labels::set_label))
         .routes(routes!(events::watch_all))
         .routes(routes!(events::watch_job))
         .routes(routes!(events::watch_weighing))
         .routes(routes!(tokens::list_tokens, tokens::create_token))
         .routes(routes!(tokens::revoke_token))
+        .routes(routes!(tokens::get_identity))
+        .routes(routes!(login::get_log_in, login::begin_log_in))
+        .routes(routes!(login::finish_log_in))
 }
 
 /// The stop of the bench, for the front end: the same handler as in the document, which reads no

@@ -45,7 +45,7 @@ pub async fn list_parameter_sets(
     OriginalUri(uri): OriginalUri,
     Query(params): Query<SetParams>,
 ) -> Result<Response, Problem> {
-    let page = PageQuery { limit: params.limit, after: params.after };
+    let page = PageQuery { limit: params.limit, after: params.after, ..PageQuery::default() };
     Ok(respond(&uri, app.parameter_sets(params.powder.as_deref(), page).await?))
 }
 

@@ -2,10 +2,10 @@
 
 use super::answer;
 use super::extract::{Path, Query};
-use super::list::{ListParams, respond};
+use super::list::{LabelledParams, respond};
 use crate::api::auth::Viewer;
 use crate::api::problem::Problem;
-use crate::api::wire::{Page, Policy};
+use crate::api::wire::{Labelled, Page, Policy};
 use crate::app::App;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
@@ -13,30 +13,31 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
 /// Cache policy of a file that never changes, because its address is derived from its content.
-const IMMUTABLE: &str = "private, max-age=31536000, immutable";
+pub(super) const IMMUTABLE: &str = "private, max-age=31536000, immutable";
 
 /// List policies, newest first.
-#[utoipa::path(get, path = "/v1/policies", tag = "policies", params(ListParams),
-    responses((status = 200, description = "A page of policies", body = Page<Policy>)))]
+#[utoipa::path(get, path = "/v1/policies", tag = "policies", params(LabelledParams),
+    responses((status = 200, description = "A page of policies", body = Page<Labelled<Policy>>)))]
 pub async fn list_policies(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<LabelledParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.policies(params.into()).await?))
+    let found = app.policies(params.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
 }
 
 /// One policy.
 #[utoipa::path(get, path = "/v1/policies/{id}", tag = "policies",
     params(("id" = String, Path, description = "Policy id, `p-…`")),
-    responses((status = 200, description = "The policy", body = Policy)))]
+    responses((status = 200, description = "The policy", body = Labelled<Policy>)))]
 pub async fn get_policy(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<Policy>, Problem> {
-    Ok(answer(app.policy(&id).await?))
+) -> Result<Json<Labelled<Policy>>, Problem> {
+    Ok(answer(app.labelled(app.policy(&id).await?).await?))
 }
 
 /// Download a policy's manifest.

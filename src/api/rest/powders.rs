@@ -3,25 +3,26 @@
 use super::answer;
 use super::created;
 use super::extract::{Input, Path, Query};
-use super::list::{ListParams, respond};
+use super::list::{LabelledParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{NewPowder, Page, Powder, PowderDetail};
+use crate::api::wire::{Labelled, NewPowder, Page, Powder, PowderDetail};
 use crate::app::App;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
 /// List powders, oldest first.
-#[utoipa::path(get, path = "/v1/powders", tag = "powders", params(ListParams),
-    responses((status = 200, description = "A page of powders", body = Page<Powder>)))]
+#[utoipa::path(get, path = "/v1/powders", tag = "powders", params(LabelledParams),
+    responses((status = 200, description = "A page of powders", body = Page<Labelled<Powder>>)))]
 pub async fn list_powders(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<LabelledParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.powders(params.into()).await?))
+    let found = app.powders(params.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
 }
 
 /// Register a powder.
@@ -40,11 +41,11 @@ pub async fn create_powder(
 
 /// One powder with its measurements and calibrated sets.
 #[utoipa::path(get, path = "/v1/powders/{id}", tag = "powders", params(("id" = String, Path, description = "Powder id")),
-    responses((status = 200, description = "The powder", body = PowderDetail)))]
+    responses((status = 200, description = "The powder", body = Labelled<PowderDetail>)))]
 pub async fn get_powder(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<PowderDetail>, Problem> {
-    Ok(answer(app.powder(&id).await?))
+) -> Result<Json<Labelled<PowderDetail>>, Problem> {
+    Ok(answer(app.labelled(app.powder(&id).await?).await?))
 }

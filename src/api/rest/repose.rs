@@ -3,11 +3,13 @@
 
 use super::answer;
 use super::extract::{Input, Large, Path, Query};
-use super::list::{ListParams, respond};
+use super::list::{LabelledParams, respond};
 use super::{accepted, started};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{Awaited, Compared, Job, Page, ReposeMeasurement, ReposeRequest, Request};
+use crate::api::wire::{
+    Awaited, Compared, Job, Labelled, Page, ReposeMeasurement, ReposeRequest, Request,
+};
 use crate::app::{App, FrameUpload};
 use axum::Json;
 use axum::extract::{self, FromRequest, OriginalUri, State};
@@ -52,15 +54,16 @@ impl Request for NewFrame {
 }
 
 /// List measurements by camera, newest first, without their piles.
-#[utoipa::path(get, path = "/v1/repose-measurements", tag = "powders", params(ListParams),
-    responses((status = 200, description = "A page of measurements", body = Page<ReposeMeasurement>)))]
+#[utoipa::path(get, path = "/v1/repose-measurements", tag = "powders", params(LabelledParams),
+    responses((status = 200, description = "A page of measurements", body = Page<Labelled<ReposeMeasurement>>)))]
 pub async fn list_repose_measurements(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<LabelledParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.reposes(params.into()).await?))
+    let found = app.reposes(params.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
 }
 
 /// Measure a powder's angle of repose by camera.
@@ -85,13 +88,13 @@ pub async fn start_repose_measurement(
 /// One measurement by camera, with its piles.
 #[utoipa::path(get, path = "/v1/repose-measurements/{id}", tag = "powders",
     params(("id" = String, Path, description = "Id of the measurement, same as its job's id")),
-    responses((status = 200, description = "The measurement", body = ReposeMeasurement)))]
+    responses((status = 200, description = "The measurement", body = Labelled<ReposeMeasurement>)))]
 pub async fn get_repose_measurement(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<ReposeMeasurement>, Problem> {
-    Ok(answer(app.repose(&id).await?))
+) -> Result<Json<Labelled<ReposeMeasurement>>, Problem> {
+    Ok(answer(app.labelled(app.repose(&id).await?).await?))
 }
 
 /// Upload a frame of the pile that is waiting for frames; at most 16 MiB.
@@ -130,7 +133,12 @@ pub async fn download_frame(
         _ if bytes.starts_with(PNG) => "image/png",
         _ => "application/octet-stream",
     };
-    Ok(([(header::CONTENT_TYPE, kind)], bytes).into_response())
+    let headers = [
+        (header::CONTENT_TYPE, kind),
+        // What was received never changes.
+        (header::CACHE_CONTROL, super::policies::IMMUTABLE),
+    ];
+    Ok((headers, bytes).into_response())
 }
 
 /// Compare automated with manual measurements, for every powder measured both ways.

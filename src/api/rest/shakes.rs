@@ -85,7 +85,10 @@ pub async fn list_shakes(
 ) -> Result<Response, Problem> {
     let ShakesParams { limit, after, powder, lot, bench } = params;
     let wanted = ShakesWanted { powder, lot, bench: bench.means() };
-    Ok(respond(&uri, app.list_shakes(&wanted, PageQuery { limit, after }).await?))
+    Ok(respond(
+        &uri,
+        app.list_shakes(&wanted, PageQuery { limit, after, ..PageQuery::default() }).await?,
+    ))
 }
 
 /// Download shakes as a CSV file that can be imported.

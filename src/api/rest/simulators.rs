@@ -3,11 +3,11 @@
 use super::answer;
 use super::csv_file;
 use super::extract::{Input, Large, Path, Query};
-use super::list::{ListParams, respond};
+use super::list::{LabelledParams, respond};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{
-    ChosenSimulator, CurrentSimulator, Page, PredictionRequest, SimulatorVersion,
+    ChosenSimulator, CurrentSimulator, Labelled, Page, PredictionRequest, SimulatorVersion,
 };
 use crate::app::{App, predictions_csv};
 use axum::Json;
@@ -15,27 +15,28 @@ use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
 /// List simulator versions, newest first.
-#[utoipa::path(get, path = "/v1/simulators", tag = "investigations", params(ListParams),
-    responses((status = 200, description = "A page of versions", body = Page<SimulatorVersion>)))]
+#[utoipa::path(get, path = "/v1/simulators", tag = "investigations", params(LabelledParams),
+    responses((status = 200, description = "A page of versions", body = Page<Labelled<SimulatorVersion>>)))]
 pub async fn list_simulators(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<LabelledParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.simulators(params.into()).await?))
+    let found = app.simulators(params.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
 }
 
 /// One simulator version.
 #[utoipa::path(get, path = "/v1/simulators/{id}", tag = "investigations",
     params(("id" = String, Path, description = "Version, `sv-…`")),
-    responses((status = 200, description = "The version", body = SimulatorVersion)))]
+    responses((status = 200, description = "The version", body = Labelled<SimulatorVersion>)))]
 pub async fn get_simulator(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<SimulatorVersion>, Problem> {
-    Ok(answer(app.simulator(&id).await?))
+) -> Result<Json<Labelled<SimulatorVersion>>, Problem> {
+    Ok(answer(app.labelled(app.simulator(&id).await?).await?))
 }
 
 /// The version used where none is named: the base until another is chosen.

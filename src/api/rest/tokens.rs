@@ -3,13 +3,14 @@
 use super::answer;
 use super::extract::{Input, Path, Query};
 use super::list::{ListParams, respond};
-use crate::api::auth::Admin;
+use crate::api::auth::{Admin, Caller, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{Answer, NewToken, Page, TokenEntry};
+use crate::api::wire::{Answer, Identity, NewToken, Page, TokenEntry};
+use crate::app;
 use crate::app::App;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
-use axum::http::StatusCode;
+use axum::http::{Extensions, StatusCode};
 use axum::response::Response;
 use serde::Serialize;
 
@@ -23,6 +24,12 @@ pub struct Token {
     secret: String,
 }
 
+impl Token {
+    pub(super) fn of((entry, secret): (app::TokenEntry, String)) -> Self {
+        Self { entry: entry.wire(), secret }
+    }
+}
+
 /// Create a token.
 #[utoipa::path(post, path = "/v1/tokens", tag = "tokens", request_body = NewToken,
     responses((status = 201, description = "The token; its secret is not shown again", body = Token)))]
@@ -31,8 +38,7 @@ pub async fn create_token(
     State(app): State<App>,
     Input(new): Input<NewToken>,
 ) -> Result<(StatusCode, Json<Token>), Problem> {
-    let (entry, secret) = app.make_token(&new).await?;
-    Ok((StatusCode::CREATED, Json(Token { entry: entry.wire(), secret })))
+    Ok((StatusCode::CREATED, Json(Token::of(app.make_token(&new).await?))))
 }
 
 /// List tokens, newest first, including ended ones; secrets are never shown.
@@ -59,4 +65,13 @@ pub async fn revoke_token(
     Path(id): Path<String>,
 ) -> Result<Json<TokenEntry>, Problem> {
     Ok(answer(app.revoke_token(&id).await?))
+}
+
+/// Who the caller is.
+///
+/// For every caller, not only admins: a page shows the name, and offers what the role permits.
+#[utoipa::path(get, path = "/v1/me", tag = "tokens",
+    responses((status = 200, description = "Name and role", body = Identity)))]
+pub async fn get_identity(_: Viewer, extensions: Extensions) -> Json<Identity> {
+    answer(Caller::of(&extensions).identity())
 }

@@ -2,26 +2,27 @@
 
 use super::answer;
 use super::extract::{Input, Path, Query};
-use super::list::{ListParams, SeriesParams, respond};
+use super::list::{LabelledParams, SeriesParams, respond};
 use super::started;
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{Episode, Job, Page, Training, TrainingRequest};
+use crate::api::wire::{Episode, Job, Labelled, Page, Training, TrainingRequest};
 use crate::app::App;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
 /// List trainings, newest first.
-#[utoipa::path(get, path = "/v1/trainings", tag = "trainings", params(ListParams),
-    responses((status = 200, description = "A page of trainings", body = Page<Training>)))]
+#[utoipa::path(get, path = "/v1/trainings", tag = "trainings", params(LabelledParams),
+    responses((status = 200, description = "A page of trainings", body = Page<Labelled<Training>>)))]
 pub async fn list_trainings(
     _: Viewer,
     State(app): State<App>,
     OriginalUri(uri): OriginalUri,
-    Query(params): Query<ListParams>,
+    Query(params): Query<LabelledParams>,
 ) -> Result<Response, Problem> {
-    Ok(respond(&uri, app.trainings(params.into()).await?))
+    let found = app.trainings(params.into()).await?;
+    Ok(respond(&uri, app.all_labelled(found).await?))
 }
 
 /// Queue a training.
@@ -42,13 +43,13 @@ pub async fn start_training(
 /// One training.
 #[utoipa::path(get, path = "/v1/trainings/{id}", tag = "trainings",
     params(("id" = String, Path, description = "Id of the training, same as its job's id")),
-    responses((status = 200, description = "The training", body = Training)))]
+    responses((status = 200, description = "The training", body = Labelled<Training>)))]
 pub async fn get_training(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<Training>, Problem> {
-    Ok(answer(app.training(&id).await?))
+) -> Result<Json<Labelled<Training>>, Problem> {
+    Ok(answer(app.labelled(app.training(&id).await?).await?))
 }
 
 /// List the episodes of a training in order, even while it runs.

@@ -3,14 +3,14 @@
 use super::accepted;
 use super::answer;
 use super::extract::{Input, Path, Query};
-use super::list::to_next;
+use super::list::{LabelledParams, to_next};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{
-    self, Request, Tick, VialReadyRequest, Weighing, WeighingDetail, WeighingRequest,
-    WeighingsFound,
+    self, Answer, DoseList, DoseListRequest, Labelled, Request, Tick, VialReadyRequest, Weighing,
+    WeighingDetail, WeighingRequest, WeighingsFound,
 };
-use crate::app::{App, PageQuery, WeighingsAsked, WeighingsWanted, document};
+use crate::app::{self, App, WeighingsAsked, WeighingsWanted, document};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -37,6 +37,8 @@ pub struct WeighingsParams {
     vial: Option<String>,
     /// Only asked for by this operator.
     operator: Option<String>,
+    /// Only of this list of doses.
+    list: Option<String>,
     /// Only by this policy, by id.
     policy: Option<String>,
     /// Only on this kind of bench.
@@ -48,18 +50,28 @@ pub struct WeighingsParams {
     /// Only with this outcome.
     #[param(inline)]
     outcome: Option<wire::Outcome>,
+    /// Only under or over their tolerance.
+    #[serde(default)]
+    #[param(default = false)]
+    outside: bool,
     /// Requested on this day (UTC) or later, `2026-11-24`, or from this time on,
     /// `2026-11-24T08:00:00Z`.
     since: Option<String>,
     /// Requested on this day (UTC) or earlier, or before this time.
     until: Option<String>,
-    /// Words, each of which stands in the id, powder, policy, lot, vial, operator or error; up to
-    /// 200 characters.
+    /// Words, each of which stands in the id, powder, policy, lot, vial, operator, list, position
+    /// or error, or in the name given to it; up to 200 characters.
     q: Option<String>,
     /// Their order; default the newest request first.
     #[serde(default)]
     #[param(inline)]
     sort: wire::WeighingSort,
+    /// Whether archived ones, and those of archived lists, are listed.
+    #[serde(default)]
+    #[param(inline)]
+    archived: wire::ArchivedItems,
+    /// Only with this tag, or on a list of doses with it.
+    tag: Option<String>,
 }
 
 /// List weighings: all, or those that match, and how many they are.
@@ -71,24 +83,29 @@ pub async fn list_weighings(
     OriginalUri(uri): OriginalUri,
     Query(params): Query<WeighingsParams>,
 ) -> Result<Response, Problem> {
-    let WeighingsParams { limit, after, since, until, .. } = params;
-    let WeighingsParams { powder, lot, vial, operator, policy, q: text, .. } = params;
+    let WeighingsParams { limit, after, since, until, archived, tag, .. } = params;
+    let WeighingsParams { powder, lot, vial, operator, list, policy, q: text, .. } = params;
     let wanted = WeighingsWanted {
         powder,
         lot,
         vial,
         operator,
+        list,
         policy,
         text,
         bench: params.bench.means(),
         state: params.state.means(),
         outcome: params.outcome.means(),
+        outside: params.outside,
         sort: params.sort.means(),
         ..WeighingsWanted::default()
     };
     let asked = WeighingsAsked { wanted, since, until };
-    let found = app.weighings(asked, PageQuery { limit, after }).await?;
-    Ok((to_next(&uri, found.page.next.as_deref()), answer(found)).into_response())
+    let page = LabelledParams { limit, after, archived, tag };
+    let app::WeighingsFound { page, total } = app.weighings(asked, page.into()).await?;
+    let app::Page { items, next } = app.all_labelled(page).await?;
+    let link = to_next(&uri, next.as_deref());
+    Ok((link, Json(WeighingsFound { items: items.wire(), next, total })).into_response())
 }
 
 /// Weigh a dose.
@@ -125,16 +142,73 @@ pub(super) fn planned((weighing, replayed): (crate::app::Weighing, bool)) -> Res
     response
 }
 
+/// Weigh a list of doses: all of them, or none.
+///
+/// Every row is checked before anything is stored; then they are weighed in order, each with the
+/// rights and checks of a weighing. A restart goes on with what waits. The same key with the same
+/// body returns the first list and never pours twice.
+#[utoipa::path(post, path = "/v1/weighings/list", tag = "weighings", request_body = DoseListRequest,
+    params(("Idempotency-Key" = Option<String>, Header, description = "New for every list, 1 to 200 visible ASCII characters; not needed to check one")),
+    responses(
+        (status = 200, description = "The list as it was understood, only checked", body = DoseList),
+        (status = 202, description = "Planned, or the list the key started before", body = DoseList, headers(
+            ("Location" = String, description = "URL of its weighings"),
+            ("Idempotency-Replayed" = String, description = "`true` if the key was used before"))),
+        (status = 409, description = "More than 64 weighings would wait, the name is taken, or the bench is latched or reserved", body = Problem,
+            content_type = "application/problem+json"),
+        (status = 422, description = "The key was used for another request", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn start_dose_list(
+    _: Operator,
+    State(app): State<App>,
+    headers: HeaderMap,
+    Input(request): Input<DoseListRequest>,
+) -> Result<Response, Problem> {
+    if request.check {
+        return Ok(answer(app.check_dose_list(request).await?).into_response());
+    }
+    let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).unwrap_or_default();
+    let (list, replayed) = app.start_dose_list(request, key).await?;
+    let name: String = form_urlencoded::byte_serialize(list.name.as_bytes()).collect();
+    let mut response = accepted(format!("/v1/weighings?list={name}"), list);
+    if replayed {
+        response.headers_mut().insert("idempotency-replayed", HeaderValue::from_static("true"));
+    }
+    Ok(response)
+}
+
+/// Which list of doses.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ListParams {
+    /// Its name.
+    list: String,
+}
+
+/// The certificate of a list of doses that have all ended: a self-contained page to print.
+#[utoipa::path(get, path = "/v1/weighings/certificate.html", tag = "weighings", params(ListParams),
+    responses((status = 200, description = "The page", body = String, content_type = "text/html"),
+        (status = 409, description = "A dose of it has not ended", body = Problem, content_type = "application/problem+json")))]
+pub async fn get_list_certificate(
+    _: Viewer,
+    State(app): State<App>,
+    Query(params): Query<ListParams>,
+) -> Result<Response, Problem> {
+    let page = app.list_certificate(&params.list).await?;
+    Ok(([(header::CONTENT_SECURITY_POLICY, document::POLICY)], Html(page)).into_response())
+}
+
 /// One weighing, with its ticks so far.
 #[utoipa::path(get, path = "/v1/weighings/{id}", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
-    responses((status = 200, description = "The weighing", body = WeighingDetail)))]
+    responses((status = 200, description = "The weighing", body = Labelled<WeighingDetail>)))]
 pub async fn get_weighing(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<WeighingDetail>, Problem> {
-    Ok(answer(app.weighing(&id).await?))
+) -> Result<Json<Labelled<WeighingDetail>>, Problem> {
+    Ok(answer(app.labelled(app.weighing(&id).await?).await?))
 }
 
 /// The ticks of a weighing: the actions of the bench and the balance readings.
@@ -197,7 +271,7 @@ pub async fn get_certificate(
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
-    let page = app.certificate(&id).await?;
+    let page = app.certificate(&id, None).await?;
     Ok(([(header::CONTENT_SECURITY_POLICY, document::POLICY)], Html(page)).into_response())
 }
 

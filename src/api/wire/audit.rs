@@ -1,6 +1,6 @@
 //! The record of everything that happened, and whether it is intact.
 
-use super::Timestamp;
+use super::{Answer, Timestamp};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -45,13 +45,17 @@ pub enum RowOf {
     Spoonful,
     /// Up to when shakes of a powder are forgotten.
     Forgotten,
+    /// The name, note and tags of something, and whether it is archived.
+    Label,
+    /// That a measurement or an observation no longer counts.
+    Withdrawal,
     /// The mark that a stock-taking of rows without a record was done, and when.
     Stock,
 }
 
 answer! { flip_store::said::RowOf => enum RowOf {
     Token, Powder, Measurement, Observation, Check, Latch, Hold, Simulator, ParameterSet, Spoonful,
-    Forgotten, Stock,
+    Forgotten, Label, Withdrawal, Stock,
 } }
 
 /// A row that does not match the record.
@@ -103,6 +107,25 @@ pub struct AuditRecord {
 }
 
 answer! { flip_store::audit::AuditRecord => AuditRecord { seq, at, weighing, kind, body, hash } }
+
+/// A page of the records that match, and how many match.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct AuditFound {
+    /// The records, newest first.
+    pub items: Vec<AuditRecord>,
+    /// Pass it as `after` to read on; absent on the last page.
+    pub next: Option<String>,
+    /// How many match in all.
+    pub total: u64,
+}
+
+impl Answer for flip_store::audit_search::AuditFound {
+    type Wire = AuditFound;
+    fn wire(self) -> AuditFound {
+        let flip_store::page::Page { items, next } = self.page;
+        AuditFound { items: items.wire(), next, total: self.total }
+    }
+}
 
 /// Whether the audit trail is intact.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]

@@ -185,3 +185,24 @@ pub struct Repeatability {
 answer! { flip_core::domain::bench_check::Repeatability => Repeatability {
     readings_mg, sd_mg, readability_mg,
 } }
+
+/// What a person checks before a dose.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Checklist {
+    /// In order.
+    pub items: Vec<String>,
+    /// When the lab wrote it; absent while it is the one that ships.
+    pub changed_at: Option<Timestamp>,
+}
+
+answer! { app::Checklist => Checklist { items, changed_at } }
+
+/// A checklist to use from now on.
+#[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewChecklist {
+    /// In order, at most 20, each 1 to 200 characters; empty asks for nothing.
+    pub items: Vec<String>,
+}
+
+request! { NewChecklist => app::NewChecklist { items } }

@@ -278,11 +278,32 @@ pub struct Calibration {
     pub settings: serde_json::Value,
     /// Result; absent until it has succeeded.
     pub result: Option<CalibrationResult>,
+    /// Whether the simulated heaps are as steep as the measured one; absent without sets.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steepness: Option<Steepness>,
 }
 
 answer! { app::Calibration => Calibration {
-    job, powder, target, under, observations, settings, result,
+    job, powder, target, under, observations, settings, result, steepness,
 } }
+
+/// The simulated heaps of a calibration beside the measured one.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Steepness {
+    /// Mean verified angle of the sets, degrees.
+    pub simulated_deg: f64,
+    /// That minus the measured mean, degrees.
+    pub difference_deg: f64,
+    /// Expanded uncertainty of the difference (k = 2), degrees: the standard errors of both means.
+    /// Absent if the spread of one of them is unknown: of a single heap, or of sets run once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub uncertainty_deg: Option<f64>,
+    /// Whether the difference is within it; absent with it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub agrees: Option<bool>,
+}
+
+answer! { app::Steepness => Steepness { simulated_deg, difference_deg, uncertainty_deg, agrees } }
 
 /// Why a calibration simulated a heap.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]

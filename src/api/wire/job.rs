@@ -1,21 +1,39 @@
 //! Jobs and events.
 
-use super::Timestamp;
+use super::{Answer, Timestamp};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 /// A job.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Job {
-    /// Id; a calibration, training, evaluation, investigation or measurement of the angle of repose
-    /// has the id of its job.
+    /// Id; a calibration, training, evaluation, investigation, film or measurement of the angle of
+    /// repose has the id of its job.
     pub id: String,
     /// What it computes.
     pub kind: JobKind,
-    /// Its state.
+    /// What it is about.
+    pub subject: Subject,
+    /// Its state; one that no worker computes is queued.
     pub state: JobState,
     /// Its progress.
     pub progress: Progress,
+    /// Time left at the pace of the present attempt, s; absent until the pace is known, from a
+    /// twentieth of the work on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub left_s: Option<f64>,
+    /// Its place among the jobs that wait for the same slot, 1 being the next; absent unless it
+    /// waits. Calibrations, evaluations and investigations take turns; trainings and measurements by
+    /// camera have slots of their own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub place: Option<u32>,
+    /// How long it is expected to take once it begins, s: the median of earlier jobs like it;
+    /// absent unless it waits, and if there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expected_s: Option<f64>,
+    /// The failed or cancelled job that it starts again.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub again_of: Option<String>,
     /// How often a worker has started or resumed it.
     pub attempts: u32,
     /// A cancellation was requested and has not been carried out yet.
@@ -31,18 +49,60 @@ pub struct Job {
 }
 
 answer! { flip_store::jobs::Job => Job {
-    id, kind, state, progress, attempts, cancelling, created_at, started_at, finished_at, error,
+    id, kind, subject, state, progress, left_s, place, expected_s, again_of, attempts, cancelling, created_at,
+    started_at, finished_at, error,
 } }
+
+/// How long jobs of one sort took on this machine: those that succeeded at the first attempt.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct JobTimes {
+    /// Their kind.
+    pub kind: JobKind,
+    /// The search method, of calibrations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub method: Option<String>,
+    /// How many of them: the last fifty at most.
+    pub n: u32,
+    /// First quartile, s.
+    pub lower_s: f64,
+    /// Median, s.
+    pub median_s: f64,
+    /// Third quartile, s.
+    pub upper_s: f64,
+}
+
+impl Answer for crate::app::JobTimes {
+    type Wire = JobTimes;
+    fn wire(self) -> JobTimes {
+        let Self { sort, n, lower_s, median_s, upper_s } = self;
+        JobTimes { kind: sort.kind.wire(), method: sort.method, n, lower_s, median_s, upper_s }
+    }
+}
+
+/// What a job is about.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Subject {
+    /// Ids of its powders, in the order of the request, each once.
+    pub powders: Vec<String>,
+    /// The policy that it tests.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy: Option<String>,
+    /// The angle of repose that it aims at, degrees.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub repose_deg: Option<f64>,
+}
+
+answer! { flip_core::domain::job::Subject => Subject { powders, policy, repose_deg } }
 
 /// An event of a job or a weighing, or a choice of the current simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Event {
     /// Position in the order of all events; the `id:` of a server-sent event.
     pub seq: i64,
-    /// `job:<id>`, `weighing:<id>`, `simulator` or `bench`.
+    /// `job:<id>`, `weighing:<id>`, `simulator`, `bench` or `label`.
     pub topic: String,
     /// `state`, `progress`, `trial`, `episode` or `checkpoint_lost` of a job; `state` or `tick` of
-    /// a weighing; `current` of the simulator; `latched` or `cleared` of the bench.
+    /// a weighing; `current` of the simulator; `latched` or `cleared` of the bench; `changed` of a label.
     pub kind: String,
     /// Contents; the fields depend on the kind.
     #[schema(value_type = Object)]
@@ -67,13 +127,15 @@ pub enum JobKind {
     Investigation,
     /// From camera frames of piles to an angle of repose.
     Repose,
+    /// The grains of a weighing's spoonful, made again.
+    Film,
 }
 
 answer! { flip_core::domain::job::JobKind => enum JobKind {
-    Calibration, Training, Evaluation, Investigation, Repose,
+    Calibration, Training, Evaluation, Investigation, Repose, Film,
 } }
 request! { enum JobKind => flip_core::domain::job::JobKind {
-    Calibration, Training, Evaluation, Investigation, Repose,
+    Calibration, Training, Evaluation, Investigation, Repose, Film,
 } }
 
 /// State of a job.

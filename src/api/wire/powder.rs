@@ -34,11 +34,13 @@ pub struct NewMeasurement {
     pub funnel_height_mm: Option<f64>,
     /// Where the numbers come from; up to 500 characters.
     pub source: Option<String>,
+    /// On which day it was made, as `2026-02-03`.
+    pub measured_on: Option<String>,
 }
 
 request! { NewMeasurement => app::NewMeasurement {
     method, repose_deg, sd_deg, n, repeats_deg, heights_mm, base_diameters_mm, funnel_height_mm,
-    source,
+    source, measured_on,
 } }
 
 /// A measurement to register, other than the angle of repose.
@@ -55,9 +57,11 @@ pub struct NewObservation {
     pub n: u32,
     /// Where the numbers come from; up to 500 characters.
     pub source: Option<String>,
+    /// On which day it was made, as `2026-02-03`.
+    pub measured_on: Option<String>,
 }
 
-request! { NewObservation => app::NewObservation { observable, mean, sd, n, source } }
+request! { NewObservation => app::NewObservation { observable, mean, sd, n, source, measured_on } }
 
 /// Result of importing a file of measurements.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -84,7 +88,7 @@ answer! { app::Imported => Imported { powders, named, measurements, observations
 #[serde(deny_unknown_fields)]
 pub struct NewPowder {
     /// A lower-case letter, then up to 63 of a-z, 0-9 and _; made from the name if omitted or
-    /// empty: `Lactose 200M` is `lactose_200m`.
+    /// empty: `Lactose 200M` is `lactose_200m`, and `lactose_200m_2` if another powder has that id.
     #[serde(default)]
     pub id: String,
     /// Name for people, 1 to 100 characters.
@@ -93,9 +97,12 @@ pub struct NewPowder {
     /// then does not blame deliquescence for what a powder that does not dissolve does.
     #[serde(default)]
     pub soluble: Option<bool>,
+    /// Its first measurement, registered with it or not at all.
+    #[serde(default)]
+    pub measurement: Option<NewMeasurement>,
 }
 
-request! { NewPowder => app::NewPowder { id, name, soluble } }
+request! { NewPowder => app::NewPowder { id, name, soluble, measurement } }
 
 /// A powder with all data on it.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -129,13 +136,70 @@ pub struct PowderObservation {
     pub n: u32,
     /// Where the numbers come from.
     pub source: String,
+    /// On which day it was made, as `2026-02-03`; absent if nobody said.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub measured_on: Option<String>,
     /// When it was registered.
     pub created_at: Timestamp,
+    /// Why it no longer counts; absent if it does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub withdrawn: Option<Withdrawn>,
 }
 
 answer! { flip_store::observations::PowderObservation => PowderObservation {
-    id, powder, observable, mean, sd, n, source, created_at,
+    id, powder, observable, mean, sd, n, source, measured_on, created_at, withdrawn,
 } }
+
+/// Why a measurement no longer counts.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Withdrawn {
+    /// When it was withdrawn.
+    pub at: Timestamp,
+    /// By whom, if known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+    /// The reason given.
+    pub reason: String,
+    /// Id of the corrected measurement that took its place.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub replaced_by: Option<String>,
+}
+
+answer! { app::Withdrawn => Withdrawn { at, by, reason, replaced_by } }
+
+/// Why a measurement is to be withdrawn.
+#[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct WithdrawalRequest {
+    /// The reason, 1 to 500 characters.
+    pub reason: String,
+}
+
+request! { WithdrawalRequest => app::WithdrawalRequest { reason } }
+
+/// What a measurement should have been, and why it was wrong.
+#[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CorrectMeasurement {
+    /// The reason, 1 to 500 characters.
+    pub reason: String,
+    /// The corrected measurement, in full.
+    pub corrected: NewMeasurement,
+}
+
+request! { CorrectMeasurement => app::Correction::<app::NewMeasurement> { reason, corrected } }
+
+/// What an observation should have been, and why it was wrong.
+#[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CorrectObservation {
+    /// The reason, 1 to 500 characters.
+    pub reason: String,
+    /// The corrected observation, in full.
+    pub corrected: NewObservation,
+}
+
+request! { CorrectObservation => app::Correction::<app::NewObservation> { reason, corrected } }
 
 /// A real powder.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -176,12 +240,18 @@ pub struct Measurement {
     pub n: u32,
     /// Where the numbers come from.
     pub source: String,
+    /// On which day it was made, as `2026-02-03`; absent if nobody said.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub measured_on: Option<String>,
     /// When it was registered.
     pub created_at: Timestamp,
+    /// Why it no longer counts; absent if it does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub withdrawn: Option<Withdrawn>,
 }
 
 answer! { flip_store::powders::Measurement => Measurement {
-    id, powder, method, repose_deg, sd_deg, sd_unknown, n, source, created_at,
+    id, powder, method, repose_deg, sd_deg, sd_unknown, n, source, measured_on, created_at, withdrawn,
 } }
 
 /// How an angle of repose was measured.

@@ -247,9 +247,38 @@ pub struct Pile {
     pub refusal: Option<String>,
     /// Its raw frames, in order of arrival.
     pub frames: Vec<FrameFiles>,
+    /// Where in the picture is what was measured; absent if the frames were refused, and for a pile
+    /// measured before it was kept.
+    pub outline: Option<PileOutline>,
 }
 
-answer! { flip_store::piles::Pile => Pile { number, at, measured, refusal, frames } }
+answer! { flip_store::piles::Pile => Pile { number, at, measured, refusal, frames, outline } }
+
+/// What a picture of a pile shows where: pixels of its frames, right and down from the middle of the
+/// first.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct PileOutline {
+    /// Width and height of the frames.
+    pub size: [u32; 2],
+    /// The funnel's tip, on its axis.
+    pub tip: [f64; 2],
+    /// The apex.
+    pub apex: [f64; 2],
+    /// Left and right end of the base's diameter across the view.
+    pub base: [[f64; 2]; 2],
+    /// The base's rim, closed.
+    pub rim: Vec<[f64; 2]>,
+    /// The cone: where its left side meets the level of the base, its point, and its right side.
+    pub cone: [[f64; 2]; 3],
+    /// Lower and upper end of the flank that it was fitted to, closed.
+    pub flank: [Vec<[f64; 2]>; 2],
+    /// Pixels that it was fitted to, at most 400 of them, evenly chosen.
+    pub points: Vec<[u32; 2]>,
+}
+
+answer! { flip_core::domain::pile::Outline => PileOutline {
+    size, tip, apex, base, rim, cone, flank, points,
+} }
 
 /// The three files of a frame as received, each by its SHA-256.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]

@@ -47,11 +47,14 @@ pub struct CurrentSimulator {
     pub base: String,
     /// When it was chosen; absent if none was ever chosen and the base is current.
     pub chosen_at: Option<Timestamp>,
+    /// Why it was chosen, if anyone said so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
     /// The previously current version, which can be chosen again; absent if none was ever chosen.
     pub before: Option<String>,
 }
 
-answer! { app::CurrentSimulator => CurrentSimulator { simulator, base, chosen_at, before } }
+answer! { app::CurrentSimulator => CurrentSimulator { simulator, base, chosen_at, reason, before } }
 
 /// Version to use from now on where none is named.
 #[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
@@ -59,9 +62,12 @@ answer! { app::CurrentSimulator => CurrentSimulator { simulator, base, chosen_at
 pub struct ChosenSimulator {
     /// `base`, or a version, `sv-…`.
     pub simulator: String,
+    /// Why, for the record: 1 to 500 characters.
+    #[serde(default)]
+    pub reason: Option<String>,
 }
 
-request! { ChosenSimulator => app::ChosenSimulator { simulator } }
+request! { ChosenSimulator => app::ChosenSimulator { simulator, reason } }
 
 /// A version of the simulator: its base, its extensions, and their origin. Never changes.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]

@@ -1,6 +1,7 @@
 //! Tokens.
 
 use super::Timestamp;
+use crate::api::auth;
 use crate::app;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -57,8 +58,66 @@ pub struct TokenEntry {
     pub revoked_at: Option<Timestamp>,
     /// When it was last used, to about a minute; absent if it never was.
     pub last_used_at: Option<Timestamp>,
+    /// Provider that the holder logged in with; absent for a token that somebody created.
+    pub issuer: Option<String>,
+    /// The provider's own name for the holder, which no two people share.
+    pub subject: Option<String>,
 }
 
 answer! { flip_store::tokens::TokenEntry => TokenEntry {
-    id, name, role, may_clear, created_at, expires_at, revoked_at, last_used_at,
+    id, name, role, may_clear, created_at, expires_at, revoked_at, last_used_at, issuer,
+    subject,
 } }
+
+/// Who a caller is, and what the caller may do.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Identity {
+    /// Id of the token; absent without one.
+    pub token: Option<String>,
+    /// Its holder.
+    pub name: Option<String>,
+    /// What the caller may do: without a token, on the service's own computer, read.
+    pub role: Role,
+    /// Whether the caller may clear a latched bench.
+    pub may_clear: bool,
+    /// When the token expires; absent if it does not.
+    pub expires_at: Option<Timestamp>,
+    /// Provider that the holder logged in with; absent for a token that somebody created.
+    pub issuer: Option<String>,
+}
+
+answer! { auth::Identity => Identity { token, name, role, may_clear, expires_at, issuer } }
+
+/// Where people can log in.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct LogInOffer {
+    /// Host of the lab's provider of log-ins; absent if this service has none.
+    pub provider: Option<String>,
+}
+
+/// The first half of a log-in.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct BegunLogIn {
+    /// Page of the provider to open in a browser.
+    pub url: String,
+    /// The provider returns it with its code.
+    pub state: String,
+    /// Needed to finish; to be kept by whoever began.
+    pub secret: String,
+}
+
+answer! { app::BegunLogIn => BegunLogIn { url, state, secret } }
+
+/// The second half of a log-in.
+#[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LogInAnswer {
+    /// As returned by the provider.
+    pub state: String,
+    /// As returned by the provider.
+    pub code: String,
+    /// As given when it began.
+    pub secret: String,
+}
+
+request! { LogInAnswer => app::LogInAnswer { state, code, secret } }

@@ -87,12 +87,15 @@ pub struct Training {
     /// Every setting.
     #[schema(value_type = Object)]
     pub settings: serde_json::Value,
+    /// Episodes, from 1, whose network is kept, in order: a film shows a dose with it. The last of a
+    /// training that has succeeded is its policy's.
+    pub kept_episodes: Vec<u32>,
     /// Result; absent until it has succeeded.
     pub result: Option<TrainingResult>,
 }
 
 answer! { app::Training => Training {
-    job, order, preset, episodes, levels, under, settings, result,
+    job, order, preset, episodes, levels, under, settings, kept_episodes, result,
 } }
 
 /// One level of a training.

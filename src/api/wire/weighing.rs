@@ -84,9 +84,24 @@ pub struct WeighingDetail {
     /// affected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trace_lost: Option<String>,
+    /// Who stopped it, and when; absent if nobody did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stopped: Option<Stopped>,
 }
 
-answer! { app::WeighingDetail => WeighingDetail { weighing, ticks, trace_lost } }
+answer! { app::WeighingDetail => WeighingDetail { weighing, ticks, trace_lost, stopped } }
+
+/// A person's stop of a weighing.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Stopped {
+    /// When.
+    pub at: Timestamp,
+    /// By whom: the name of the token; absent if unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+}
+
+answer! { app::Stopped => Stopped { at, by } }
 
 /// One dose: the order and how it ended.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -211,6 +226,12 @@ pub struct Asked {
     /// Name of the operator.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
+    /// Name of the list of doses that it belongs to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub list: Option<String>,
+    /// Where its vial belongs in a rack.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position: Option<String>,
     /// Temperature at the balance, degrees C.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub temperature_c: Option<f64>,
@@ -221,6 +242,10 @@ pub struct Asked {
     /// be weighed. Default 0.1 (USP <41>).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accuracy_pct: Option<f64>,
+    /// What a person confirmed before asking, as in the checklist of the bench (GET
+    /// /v1/bench/checklist); at most 20.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub checked: Vec<String>,
     /// What to do after an overdose.
     #[serde(default)]
     pub on_overdose: OnOverdose,
@@ -230,12 +255,12 @@ pub struct Asked {
 }
 
 answer! { flip_core::domain::weighing::Asked => Asked {
-    lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, on_overdose,
-    probe,
+    lot, vial, operator, list, position, temperature_c, relative_humidity_pct, accuracy_pct,
+    checked, on_overdose, probe,
 } }
 request! { Asked => flip_core::domain::weighing::Asked {
-    lot, vial, operator, temperature_c, relative_humidity_pct, accuracy_pct, on_overdose,
-    probe,
+    lot, vial, operator, list, position, temperature_c, relative_humidity_pct, accuracy_pct,
+    checked, on_overdose, probe,
 } }
 
 /// Spoonfuls that are shaken to see how a powder flows: no dose is aimed at, and what falls is
@@ -383,19 +408,11 @@ request! { enum WeighingSort => app::WeighingSort { Newest, Oldest, Error, Targe
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct WeighingsFound {
     /// The weighings, in the order asked for.
-    pub items: Vec<Weighing>,
+    pub items: Vec<super::Labelled<Weighing>>,
     /// Pass it as `after` to read on; absent on the last page.
     pub next: Option<String>,
     /// How many match in all.
     pub total: u64,
-}
-
-impl super::Answer for app::WeighingsFound {
-    type Wire = WeighingsFound;
-    fn wire(self) -> WeighingsFound {
-        let Self { page: app::Page { items, next }, total } = self;
-        WeighingsFound { items: items.wire(), next, total }
-    }
 }
 
 /// The devices behind a bench.

@@ -69,6 +69,16 @@ impl Written {
     }
 }
 
+/// The day of a single date, as `2026-02-03`.
+///
+/// # Errors
+/// Why it is none, or which of several it might be.
+pub fn day_of(text: &str) -> std::result::Result<String, String> {
+    let day = day(text).and_then(|written| written.day(None));
+    day.map(|day| day.to_string())
+        .ok_or_else(|| format!("must be one day, as 2026-02-03, got `{text}`"))
+}
+
 /// The day in a cell, if it contains one.
 pub fn day(text: &str) -> Option<Written> {
     let date = without_weekday(without_time(text.trim())?);

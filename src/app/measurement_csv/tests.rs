@@ -20,7 +20,7 @@ fn repeats_of_one_powder_method_and_source_become_one_measurement() {
     let entries = entries(text);
     let angle = |row, method, repose_deg, sd_deg, n, source: &str| {
         let value = Value::Angle(method, Flowability { repose_deg, sd_deg, n });
-        Entry { row, powder: "salt".into(), source: source.into(), value }
+        Entry { row, powder: "salt".into(), origin: Origin::undated(source), value }
     };
     let expected = [
         angle(2, Method::Automated, 32.0, 2.0, 3, "a"),
@@ -112,7 +112,9 @@ fn what_is_written_is_read_to_the_last_bit() {
         sd_unknown: false,
         n: 3,
         source: source.into(),
+        measured_on: (method == Method::Manual).then(|| "2026-02-03".to_owned()),
         created_at,
+        withdrawn: None,
     };
     let measurements = [
         measurement(Method::Automated, 100.0 / 3.0, "a, \"quoted\" source"),
@@ -132,13 +134,18 @@ fn what_is_written_is_read_to_the_last_bit() {
         sd: 0.1 + 0.2,
         n: 2,
         source: "bench".into(),
+        measured_on: None,
         created_at,
+        withdrawn: None,
     });
     let entries = entries(&write(&measurements, &observations));
     assert_eq!(entries.len(), 6);
     for (entry, m) in entries.iter().zip(&measurements) {
         let value = Flowability { repose_deg: m.repose_deg, sd_deg: m.sd_deg, n: m.n };
-        assert_eq!((&entry.source, &entry.value), (&m.source, &Value::Angle(m.method, value)));
+        assert_eq!(
+            (&entry.origin.source, &entry.value),
+            (&m.source, &Value::Angle(m.method, value))
+        );
     }
     for (entry, o) in entries[2..].iter().zip(&observations) {
         let value = Observation { observable: o.observable, mean: o.mean, sd: o.sd, n: o.n };
@@ -207,4 +214,21 @@ fn a_powder_may_be_written_by_its_name() {
         found,
         [("lactose_200m", Some("Lactose 200M")), ("p_3_nitrotoluene", Some("3-Nitrotoluene"))]
     );
+}
+
+#[test]
+fn repeats_of_another_day_are_another_measurement_and_a_day_that_may_be_two_is_refused() {
+    let text = "powder,repose_deg,date\nsalt,30,2026-02-03\nsalt,32,3.2.2026\nsalt,40,2026-02-04\nsalt,50,\n";
+    let of = |entry: &Entry| match entry.value {
+        Value::Angle(_, angle) => (entry.origin.measured_on.clone(), angle.repose_deg, angle.n),
+        Value::Observed(_) => panic!("{entry:?}"),
+    };
+    let day = |day: &str| Some(format!("2026-02-{day}"));
+    assert_eq!(
+        entries(text).iter().map(of).collect::<Vec<_>>(),
+        [(day("03"), 31.0, 2), (day("04"), 40.0, 1), (None, 50.0, 1)]
+    );
+    for wrong in ["2/3/2026", "Tuesday", "2026-02-31"] {
+        assert_eq!(refused(&format!("powder,repose_deg,date\nsalt,30,{wrong}\n")), ["row[2].date"]);
+    }
 }

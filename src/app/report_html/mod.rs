@@ -20,7 +20,7 @@
 //! The same report always gives the same bytes.
 
 mod evidence;
-mod figures;
+pub(super) mod figures;
 mod files;
 mod gain;
 mod meaning;

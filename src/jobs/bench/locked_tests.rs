@@ -14,6 +14,7 @@ use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Outcome, WeighRequest};
 use flip_policy::shipped;
+use flip_store::audit_search::AuditWanted;
 use flip_store::weighings::Intent;
 use flip_store::{Store, now};
 use sqlx::SqlitePool;
@@ -216,7 +217,7 @@ async fn a_stop_at_any_moment_of_a_dose_brings_the_spoon_back_although_another_p
         }
         assert_eq!((ended.outcome, ended.error), (Some(Outcome::Stopped), None), "{id}");
         // Events that could not be written when they happened are on record, in order.
-        let records = store.audit_after(Some(&id), 0).await.unwrap();
+        let records = store.audit_after(&AuditWanted::of(&id), 0).await.unwrap();
         let kinds: Vec<&str> =
             records.iter().map(|record| &*record.kind).filter(|kind| *kind != "sent").collect();
         assert_eq!(

@@ -233,6 +233,9 @@ impl Bench {
         let ending =
             Ending::bare(WeighingState::Aborted, Outcome::Stopped, "stopped before its turn");
         let ended = tx.end_planned_weighing(id, &ending, now()).await?;
+        if ended.is_some() {
+            tx.audit_person(Some(id), "stop", now()).await?;
+        }
         tx.commit().await?;
         if ended.is_some() {
             self.planned().await;

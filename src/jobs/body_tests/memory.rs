@@ -19,6 +19,8 @@ pub struct Kept {
     pub emulators: HashMap<String, Vec<Trial>>,
     pub probes: HashMap<String, Vec<Probe>>,
     pub episodes: Vec<EpisodeRecord>,
+    /// Networks of episodes.
+    pub networks: Vec<(u32, Vec<u8>)>,
     pub doses: HashMap<String, Dose>,
     pub piles: Vec<Pile>,
     /// Its bytes, or why they cannot be read.
@@ -120,6 +122,10 @@ impl JobHost for MemoryHost {
         Ok(None)
     }
 
+    fn kept_policy(&self, _: &str) -> Result<Option<Vec<u8>>> {
+        Ok(None)
+    }
+
     fn parameter_set(&self, _: &str) -> Result<Option<ParameterSet>> {
         Ok(None)
     }
@@ -150,6 +156,7 @@ impl JobHost for MemoryHost {
                 kept.probes.entry(owner.to_owned()).or_default().push(probe.clone());
             }
             Piece::Episodes(episodes) => kept.episodes.extend_from_slice(episodes),
+            Piece::Kept { episode, policy } => kept.networks.push((episode, policy.to_vec())),
             Piece::CheckpointLost(why) => kept.began_again = Some(why.to_owned()),
             Piece::Dose { key, dose } => {
                 let before = kept.doses.insert(key.to_owned(), *dose);

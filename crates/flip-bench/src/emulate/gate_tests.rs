@@ -170,8 +170,17 @@ fn a_silent_wire_closes_the_gate_and_the_driver_tells() {
     bench.wait_until_closed(Duration::from_secs(1));
     assert_eq!(bench.driver.status(), Err(DeviceError::Silent { device: "the gate" }));
     bench.slide.repair();
-    std::thread::sleep(Duration::from_millis(250));
-    assert!(is_fault(&bench.driver.status().unwrap_err(), "Beats"));
+    // The next heartbeat is answered, and the answer says why the gate is closed.
+    let until = Instant::now() + LONG;
+    let told = loop {
+        match bench.driver.status() {
+            Ok(status) => assert_eq!(status.closed_for, Some(Why::Beats)),
+            Err(error) => break error,
+        }
+        assert!(Instant::now() < until, "the driver does not tell");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert!(is_fault(&told, "Beats"), "{told}");
     assert_eq!(bench.driver.close().unwrap().state, State::Closed);
 }
 

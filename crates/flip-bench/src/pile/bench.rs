@@ -142,6 +142,13 @@ impl View {
         [x, y, self.scale * self.plane.height(p) - self.base_height_mm]
     }
 
+    /// The inverse of [`View::place`].
+    pub fn in_camera(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let up = (z + self.base_height_mm) / self.scale - self.plane.camera_mm;
+        let along = [x / self.scale, y / self.scale, up];
+        std::array::from_fn(|c| (0..3).map(|k| along[k] * self.axes[k][c]).sum())
+    }
+
     /// The ray through a pixel: its origin, and its increment per mm of depth.
     pub fn ray(&self, [x, y]: [f64; 2]) -> [[f64; 3]; 2] {
         let (from, to) = (self.place([0.0; 3]), self.place([x, y, 1.0]));

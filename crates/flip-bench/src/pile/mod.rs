@@ -14,6 +14,7 @@
 //! | `spout` | where the tip is |
 //! | `flank` | where the apex is, how steep the flank |
 //! | `fit` | robust least squares |
+//! | `outline` | where all that is in the picture |
 //! | `repeats` | five measurements become a flowability |
 //! | `comparison` | automated beside manual |
 //!
@@ -23,6 +24,7 @@ mod bench;
 mod comparison;
 mod fit;
 mod flank;
+mod outline;
 mod refusal;
 mod repeats;
 mod settings;
@@ -30,7 +32,7 @@ mod shot;
 mod spout;
 
 pub use comparison::{Compared, Stored, compare, published};
-pub use flip_core::domain::pile::{Angle, Measurement};
+pub use flip_core::domain::pile::{Angle, Measurement, Outline};
 pub use refusal::Refusal;
 pub use repeats::{Repeats, repeats};
 pub use settings::{Dimensions, Lengths, Limits};
@@ -78,6 +80,18 @@ pub fn measure(
     rig: &Dimensions,
     limits: &Limits,
 ) -> Result<Measurement, Refusal> {
+    look(frames, rig, limits).map(|(measured, _)| measured)
+}
+
+/// [`measure`], and where in the picture is what was measured.
+///
+/// # Errors
+/// As [`measure`].
+pub fn look(
+    frames: &[Frame],
+    rig: &Dimensions,
+    limits: &Limits,
+) -> Result<(Measurement, Outline), Refusal> {
     let rig = &rig.checked().map_err(Refusal::Settings)?;
     let limits = &limits.checked().map_err(Refusal::Settings)?;
     let shot = &Shot::of(frames, limits)?;
@@ -115,7 +129,7 @@ struct Pile<'a> {
 }
 
 impl Pile<'_> {
-    fn measured(&self, limits: &Limits, seen: [f64; 3]) -> Result<Measurement, Refusal> {
+    fn measured(&self, limits: &Limits, seen: [f64; 3]) -> Result<(Measurement, Outline), Refusal> {
         let axis = [self.tip.at[0], self.tip.at[1]];
         let points = self.points();
         self.is_quiet(limits)?;
@@ -142,7 +156,8 @@ impl Pile<'_> {
             .sqrt()
             .hypot(ROUNDING_U * apex.rounding_mm());
         let apex_u = apex_u.hypot(GAP_U * slope * flank::gap(&points, [x, y]));
-        Ok(Measurement {
+        let outline = self.outline([x, y, top], &cone, &flank);
+        let measured = Measurement {
             tip: self.tip_angle(height_mm, apex_u, frame_u(&tips)),
             cone: cone_angle(&cone, &departure, frame_u(&cones)),
             height_mm,
@@ -154,7 +169,8 @@ impl Pile<'_> {
             flank_pixels: flank.len() as u32,
             pile_invalid,
             frames: self.shot.frames.len() as u32,
-        })
+        };
+        Ok((measured, outline))
     }
 
     /// Points on and over the base, below the spout.

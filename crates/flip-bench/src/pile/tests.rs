@@ -30,6 +30,34 @@ fn an_exact_picture_gives_the_angle() {
     }
 }
 
+/// A pile whose angle is known stands where it is drawn.
+#[test]
+fn the_outline_lies_on_what_the_picture_shows() {
+    let noise = Noise { frame_mm: 0.05, ..Noise::NONE };
+    let taken = frames(&scene(35.0), &Pose::default(), &Optics::default(), &noise, 1, 10);
+    let (_, seen) = look(&taken, &Dimensions::default(), &Limits::default()).unwrap();
+    let [width, height] = seen.size;
+    assert_eq!((width, height), (taken[0].intrinsics.width, taken[0].intrinsics.height));
+    let depth = |[u, v]: [f64; 2]| taken[0].depth[v as usize * width as usize + u as usize];
+    // Below the apex is powder, above it what is far behind.
+    let [u, v] = seen.apex;
+    let (on, over) = (depth([u, v + 4.0]), depth([u, v - 6.0]));
+    assert!(on > 0 && (over == 0 || f64::from(over) > 1.05 * f64::from(on)), "{on} {over}");
+    // The tip is straight above it, and the cone's sides fall outwards from it.
+    assert!((seen.tip[0] - u).abs() < 3.0 && seen.tip[1] < v, "{:?} {:?}", seen.tip, seen.apex);
+    let [left, point, right] = seen.cone;
+    assert!((point[0] - u).abs() < 3.0 && left[0] < u && u < right[0] && left[1] > v);
+    // The base of this pile is as wide as its cone is at that level.
+    let wide = |[a, b]: [[f64; 2]; 2]| b[0] - a[0];
+    let [from, to] = [0, 1].map(|k| seen.rim.iter().map(|at| at[k]).fold(0.0, f64::max));
+    assert!(from > seen.base[0][0] && to > seen.base[0][1], "{seen:?}");
+    assert!(wide([left, right]) < 1.1 * wide(seen.base), "{seen:?}");
+    // What the cone was fitted to lies between its point and its foot.
+    assert!(seen.points.len() > 150 && seen.points.len() <= 400);
+    let inside = |p: &[u32; 2]| f64::from(p[1]) > point[1] && f64::from(p[1]) < to;
+    assert!(seen.points.iter().all(inside), "{:?}", seen.points);
+}
+
 /// Mean and standard deviation of the errors, and fraction within two stated uncertainties; input
 /// is errors and their uncertainties.
 fn judged(errors: &[[f64; 2]]) -> [f64; 3] {

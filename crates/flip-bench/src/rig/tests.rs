@@ -7,13 +7,13 @@ use crate::hardware::clock::Clock;
 use crate::weigh::earlier::Expected;
 use crate::weigh::{Accuracy, Order};
 use flip_core::domain::apparatus::Apparatus;
-use flip_core::domain::bench::Tick;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_core::domain::shake::{ShakesOf, Spoonful};
 use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Outcome;
 use flip_policy::{Controller, Rules, ScheduledStep};
+use flip_sim::film::{Moves, Scene, film};
 use flip_sim::replay::{Replay, replay};
 use flip_sim::{balance, dispense};
 use std::sync::atomic::Ordering;
@@ -111,6 +111,17 @@ fn a_dose_runs_its_course_names_its_devices_and_leaves_its_traffic() {
     }
 }
 
+/// A dose that is stopped where a second spoonful would be poured from.
+fn first_spoonful_of(rig: &dyn Rig, pouring: &Pouring) -> Poured {
+    let stop = AtomicBool::new(false);
+    let mut watch = |event: &Event<'_>| {
+        let is_second = matches!(event, Event::Tick(tick) if tick.spoonful > 1);
+        stop.fetch_or(is_second, Ordering::SeqCst);
+        ControlFlow::Continue(())
+    };
+    rig.pour(pouring, &mut watch, &stop)
+}
+
 /// The shakes of a dose, as they are kept.
 fn only_spoonful(poured: &Poured) -> Spoonful {
     let apparatus = Apparatus {
@@ -133,8 +144,7 @@ fn the_powder_on_an_emulated_bench_is_shaken_as_its_arm_says_it_moves() {
     let emulated = Emulated::new(lab::Settings { arm, ..Default::default() });
     let mut pouring = pouring();
     pouring.simulation.spoon.semi_axes_mm = [2.8, 2.0, 1.2];
-    let poured =
-        emulated.pour(&pouring, &mut |_| ControlFlow::Continue(()), &AtomicBool::new(false));
+    let poured = first_spoonful_of(&emulated, &pouring);
     let Simulation { set, spoon, seed, .. } = &pouring.simulation;
     // What is on record of the dose makes the dose again.
     let again = Replay::of(set, spoon, &only_spoonful(&poured), derive(*seed, &[0]));
@@ -148,15 +158,33 @@ fn the_powder_on_an_emulated_bench_is_shaken_as_its_arm_says_it_moves() {
 }
 
 #[test]
+fn a_film_of_a_simulated_dose_drops_what_the_dose_dropped() {
+    let pouring = pouring();
+    let poured = first_spoonful_of(&Simulated, &pouring);
+    let Simulation { set, spoon, seed, .. } = &pouring.simulation;
+    let replay = Replay {
+        set: *set,
+        settings: *spoon,
+        steps: only_spoonful(&poured).shakes.iter().map(Into::into).collect(),
+        seed: derive(*seed, &[0]),
+    };
+    let scene = Scene { replay, moves: Moves::AtOnce };
+    let film = film(&scene, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    assert!(film.head.vial_mg > 1.0);
+    assert_eq!(Some(film.head.vial_mg), poured.dispensed_mg, "to the last grain");
+}
+
+#[test]
 fn the_shakes_of_a_dose_add_up_to_what_the_display_shows_and_are_what_the_arm_makes() {
     for case in cases() {
-        let (kind, poured) = (case.rig.kind(), case.undisturbed());
+        let (kind, poured) = (case.rig.kind(), first_spoonful_of(&*case.rig, &pouring()));
         let stroke = poured.stroke.unwrap();
         // Calibrated shakes are corrected; those of a simulated spoon need no correction.
         assert_eq!(stroke.response.is_some(), kind == BenchKind::Emulated, "{kind:?}: {stroke:?}");
         let spoonful = only_spoonful(&poured);
-        let shown = |tick: Option<&Tick>| tick.unwrap().reading.mass_mg;
-        let shown_mg = shown(poured.ticks.last()) - shown(poured.ticks.first());
+        let mut shown = poured.ticks.iter().filter(|tick| tick.spoonful == 1);
+        let ends = [shown.next_back(), shown.next()].map(|tick| tick.unwrap().reading.mass_mg);
+        let shown_mg = ends[0] - ends[1];
         assert!((spoonful.fell_mg() - shown_mg).abs() < 1e-9, "{kind:?}");
         let reading_mg = poured.reading_mg.unwrap();
         let sd_mg = spoonful.shakes[0].sd_mg;

@@ -10,6 +10,7 @@ use super::{ASK_EVERY_S, Event, Halted, Loop, uncertainty};
 use crate::hardware::Bench;
 use flip_core::domain::bench::{Moment, Reading};
 use flip_core::domain::rest::Rest;
+use flip_policy::Rules;
 use std::ops::ControlFlow;
 
 /// The mean of a watch is certain enough at this fraction of the display step,
@@ -23,27 +24,40 @@ const PARTS: f64 = 100.0;
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     /// Watch the display with nothing moving until its mean is certain enough or the time for it is
-    /// up; returns early on a stop.
-    pub(super) fn rest(&mut self) -> Result<Rest, Halted> {
-        let order = self.order;
-        let band_mg = order.tolerance_lower_mg + order.tolerance_upper_mg;
-        let sure_mg = (SURE_STEPS * order.readability_mg).max(SURE_BAND * band_mg);
-        let (mut seen, mut found): (Vec<Moment>, Option<Rest>) = (Vec::new(), None);
+    /// up, and for as long again if what it decides is open; returns early on a stop.
+    pub(super) fn rest(&mut self, is_open: impl Fn(&Self, f64) -> bool) -> Result<Rest, Halted> {
+        let mut seen = Vec::new();
+        let rest = self.watch(&mut seen)?;
+        if self.is_certain(&rest) || !is_open(self, self.net_mg(rest.mean_mg)) {
+            return Ok(rest);
+        }
+        self.watch(&mut seen)
+    }
+
+    /// Go on watching after these readings.
+    fn watch(&mut self, seen: &mut Vec<Moment>) -> Result<Rest, Halted> {
+        let mut found = None;
         let until_s = self.bench.elapsed_s() + self.settings.rest_max_s.max(self.settings.rest_s);
         loop {
             self.go_on()?;
             seen.extend(self.bench.readings(ASK_EVERY_S)?);
-            found = Rest::of(&seen).or(found);
-            let is_long = |rest: &Rest| rest.seconds >= self.settings.rest_s;
-            let is_sure =
-                |rest: &Rest| uncertainty::of_mean_mg(rest).is_some_and(|u_mg| u_mg <= sure_mg);
+            found = Rest::of(seen).or(found);
             let is_spent = self.bench.elapsed_s() >= until_s;
             match found {
-                Some(rest) if is_spent || (is_long(&rest) && is_sure(&rest)) => return Ok(rest),
+                Some(rest) if is_spent || self.is_certain(&rest) => return Ok(rest),
                 None if is_spent => return Err(Halted::Guard(Halt::NotANumber)),
                 _ => {}
             }
         }
+    }
+
+    /// Whether this watch was long enough for its mean to be certain.
+    fn is_certain(&self, rest: &Rest) -> bool {
+        let order = self.order;
+        let band_mg = order.tolerance_lower_mg + order.tolerance_upper_mg;
+        let sure_mg = (SURE_STEPS * order.readability_mg).max(SURE_BAND * band_mg);
+        rest.seconds >= self.settings.rest_s
+            && uncertainty::of_mean_mg(rest, &self.watched).is_some_and(|u_mg| u_mg <= sure_mg)
     }
 
     /// Find the mean of the tared display, the zero of all readings.
@@ -51,7 +65,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         if !self.looks_closer() {
             return Ok(());
         }
-        let rest = self.rest()?;
+        let rest = self.rest(|_, _| false)?;
         let shown = self.bench.read()?;
         let furthest_mg =
             if shown.mass_mg.abs() > rest.mean_mg.abs() { shown.mass_mg } else { rest.mean_mg };
@@ -74,14 +88,24 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     }
 
     /// Refine a reading by the mean of a longer watch; returns the display itself if it has moved
-    /// meanwhile.
-    pub(super) fn look_closer(&mut self) -> Result<Reading, Halted> {
-        let rest = self.rest()?;
+    /// meanwhile. The reading that led here is one of the higher ones, so a mean that would end the
+    /// dose needs the most care.
+    pub(super) fn look_closer(&mut self, rules: &Rules, steps: u32) -> Result<Reading, Halted> {
+        let rest =
+            self.rest(|it, mass_mg| it.would_end(rules, steps, Reading { mass_mg, stable: true }))?;
         let shown = self.bench.read()?;
         let now = self.net(shown);
         let mean_mg = self.net_mg(rest.mean_mg);
         let has_moved = (now.mass_mg - mean_mg).abs() > Limits::FALL_MG_MAX;
         Ok(Reading { mass_mg: if has_moved { now.mass_mg } else { mean_mg }, ..now })
+    }
+
+    /// Whether a final reading of this is too near to a tolerance to say on which side it is.
+    pub(super) fn is_near_a_limit(&self, reading_mg: f64) -> bool {
+        let order = self.order;
+        [-order.tolerance_lower_mg, order.tolerance_upper_mg]
+            .into_iter()
+            .any(|limit_mg| (reading_mg - order.target_mg - limit_mg).abs() < order.readability_mg)
     }
 
     /// A reading relative to the zero that was found.

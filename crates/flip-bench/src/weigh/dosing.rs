@@ -37,7 +37,9 @@ pub(super) struct Course {
     /// Whether it was levelled and shaken to loosen the powder.
     pub(super) loosened: bool,
     /// Its shakes when it was last lowered to where there is room.
-    pub(super) lowered_after: usize,
+    pub(super) lowered_after: Option<usize>,
+    /// How often its steps began anew.
+    pub(super) rounds: u32,
 }
 
 impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
@@ -57,6 +59,10 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             let Some(halt) = self.spoonful(controller, rules, &limits, &mut course)? else {
                 return Ok(End::Course(None));
             };
+            if self.goes_on(&halt, &limits, &course) {
+                self.begin_again(&mut course)?;
+                continue;
+            }
             if !self.takes_another(&halt, &course) {
                 self.must_look |= halt == Halt::Unproven;
                 return Ok(self.ended(halt, &course));
@@ -105,7 +111,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             from_mg: 0.0,
             falls: Vec::new(),
             loosened: false,
-            lowered_after: 0,
+            lowered_after: None,
+            rounds: 0,
         };
         self.record(&course, Action::default(), first)?;
         self.is_tared(before, now)?;
@@ -120,8 +127,11 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         limits: &Limits,
         course: &mut Course,
     ) -> Result<Option<Halt>, Halted> {
-        let mut dosing =
-            controller.begin(rules, limits.readability_mg).expecting(self.settings.onset_deg);
+        let begin = || controller.begin(rules, limits.readability_mg);
+        let mut dosing = match course.falls.is_empty() {
+            true => begin().expecting(self.settings.onset_deg),
+            false => begin(),
+        };
         loop {
             self.go_on()?;
             let is_sure = self.look_if_it_ends(rules, course)?;
@@ -129,7 +139,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             let steps = course.steps;
             let mut allowed = self.guard(limits, course, proposed);
             if !is_sure && matches!(allowed, Err(Halt::NoRoom { .. } | Halt::TargetReached)) {
-                course.now = self.look_closer()?;
+                course.now = self.look_closer(rules, course.steps)?;
                 allowed = self.guard(limits, course, proposed);
             }
             let is_done = self.would_end(rules, course.steps, course.now);
@@ -142,10 +152,12 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
                 allowed = Err(Halt::Blocked { strokes: 1, pitch_deg });
             }
             if self.settings.strict && self.may_be_lowered(&allowed, limits, course) {
-                match self.lower(limits, course)? {
-                    None => continue,
-                    halt => return Ok(halt),
+                if let Some(halt) = self.lower(limits, course)? {
+                    return Ok(Some(halt));
                 }
+                // It would be led back to where the powder is expected to flow.
+                dosing = begin();
+                continue;
             }
             if self.may_be_loosened(&allowed, limits, course) {
                 match self.loosen(limits, course)? {
@@ -176,7 +188,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         if is_sure || !(is_zeroed || self.would_end(rules, course.steps, course.now)) {
             return Ok(is_sure);
         }
-        course.now = self.look_closer()?;
+        course.now = self.look_closer(rules, course.steps)?;
         if is_zeroed && closer::is_zeroed(course.before, course.now, readability_mg) {
             self.must_look = true;
             let fell_mg = course.before.mass_mg - course.now.mass_mg;

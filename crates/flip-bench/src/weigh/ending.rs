@@ -74,7 +74,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
                 it.after = Some(after);
             }
             if ran_its_course && after.still && it.looks_closer() {
-                it.watched.last = Some(it.rest()?);
+                it.watched.last = Some(it.rest(Self::is_near_a_limit)?);
                 it.bench.is_the_same()?;
             }
             let rest = it.watched.last.unwrap_or(after.rest);

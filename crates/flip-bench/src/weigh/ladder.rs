@@ -9,6 +9,9 @@
 //! 4  a new spoonful                             where the arm fills its spoon
 //! ```
 //!
+//! A last spoonful whose steps are spent while powder still falls gets them once more; else it is filled
+//! anew.
+//!
 //! A spoon whose gentlest shake might release more than there is room for is lowered without a shake to
 //! where it would not, and filled anew where there is no such pitch: level, a full spoon releases less.
 //!
@@ -37,6 +40,8 @@ const PORTION: f64 = 0.8;
 const SPENT_STROKES: u32 = 3;
 /// Silent shakes at the end of the pitch after which a powder that comes in pieces gets a new spoonful.
 const SILENT_PIECES: usize = 6;
+/// Shakes of which at least one released something while a spoon is alive.
+const ALIVE_SHAKES: usize = 10;
 /// Most of what is missing that one step may be expected to release.
 const AT_ONCE: f64 = 0.5;
 
@@ -87,6 +92,8 @@ fn strokes(limits: &Limits, full: &[&Fall], missing_mg: f64, steps_left: u32) ->
 const LOOSEN: &str = "nothing falls: the spoon is levelled and shaken to loosen the powder";
 /// of a spoon that is lowered,
 const LOWER: &str = "here even the gentlest shake might let too much fall: the spoon is lowered, without a shake, to where it would not";
+/// of steps that begin anew,
+const GO_ON: &str = "every step is spent, and powder still falls: the steps begin anew";
 /// of a new spoonful,
 const REFILL: &str = "the spoon gives no more: it is filled anew";
 /// and of one that is to begin gently.
@@ -104,8 +111,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         }
     }
 
-    /// Whether the spoon may be lowered after this halt: it was shaken since it last was, and at the
-    /// lowest pitch the gentlest shake would leave room.
+    /// Whether the spoon may be lowered after this halt: it was not yet, or was shaken since, and at
+    /// the lowest pitch the gentlest shake would leave room.
     pub(super) fn may_be_lowered(
         &self,
         allowed: &Result<Allowed, Halt>,
@@ -114,7 +121,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
     ) -> bool {
         let lowest_deg = limits.pitch.lower_deg;
         matches!(allowed, Err(Halt::NoRoom { .. }))
-            && course.lowered_after < course.falls.len()
+            && course.lowered_after != Some(course.falls.len())
             && self.bench.pitch_deg() > lowest_deg + AT_THE_END_DEG
             && self.has_room_at(lowest_deg, limits, course)
     }
@@ -133,7 +140,7 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         course: &mut Course,
     ) -> Result<Option<Halt>, Halted> {
         let steps = course.steps;
-        course.lowered_after = course.falls.len();
+        course.lowered_after = Some(course.falls.len());
         self.decide(course, LOWER)?;
         loop {
             let left_deg = limits.pitch.lower_deg - self.bench.pitch_deg();
@@ -196,20 +203,45 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
             && !self.is_empty(limits, course)
     }
 
+    /// Whether this spoonful goes on although its steps are spent: it is the last, the dose is
+    /// short, and its latest shakes released something.
+    pub(super) fn goes_on(&self, halt: &Halt, limits: &Limits, course: &Course) -> bool {
+        let latest = course.falls.iter().rev().take(ALIVE_SHAKES);
+        self.settings.strict
+            && *halt == Halt::StepsSpent
+            && self.is_last(course)
+            && self.is_short(course)
+            && course.rounds + 1 < self.settings.spoonfuls_max
+            && latest.map(|fall| fall.mass_mg).sum::<f64>() > limits.piece_mg - 1e-9
+    }
+
+    /// Give this spoonful its steps once more.
+    pub(super) fn begin_again(&mut self, course: &mut Course) -> Result<(), Halted> {
+        self.decide(course, GO_ON)?;
+        (course.steps, course.rounds) = (0, course.rounds + 1);
+        Ok(())
+    }
+
+    /// Whether the dose may be short of its tolerance: a mean this near to the limit may as well be
+    /// on its other side.
+    fn is_short(&self, course: &Course) -> bool {
+        let least_mg = self.order.tolerance_lower_mg - self.order.readability_mg / 2.0;
+        self.order.target_mg - course.now.mass_mg > least_mg
+    }
+
     /// Whether a new spoonful may bring the dose to its target.
     pub(super) fn takes_another(&self, halt: &Halt, course: &Course) -> bool {
         let is_spent = match halt {
             Halt::Blocked { .. } => true,
             // The steps were made for one spoonful.
-            Halt::StepsSpent => !self.is_last(course),
+            Halt::StepsSpent => self.settings.strict || !self.is_last(course),
             // A full spoon is gentle while it is level; one that may not be shaken even once never is.
             Halt::NoRoom { .. } => !course.falls.is_empty(),
             _ => false,
         };
-        let missing_mg = self.order.target_mg - course.now.mass_mg;
         is_spent
             && course.spoonful < self.settings.spoonfuls_max
-            && missing_mg > self.order.tolerance_lower_mg
+            && self.is_short(course)
             && self.bench.can_refill()
     }
 
@@ -254,8 +286,8 @@ impl<B: Bench, F: FnMut(&Event<'_>) -> ControlFlow<()>> Loop<'_, B, F> {
         self.decide(course, why)?;
         self.bench.refill()?;
         course.spoonful += 1;
-        course.loosened = false;
-        course.lowered_after = 0;
+        (course.loosened, course.rounds) = (false, 0);
+        course.lowered_after = None;
         course.falls.clear();
         // Levelling a steep spoon may have released some.
         self.read_on(course, Action::default(), true)?;

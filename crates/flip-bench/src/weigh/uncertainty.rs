@@ -212,10 +212,12 @@ pub(super) fn uncertainty_mg(
     (drift.mean * seconds).abs() + COVERAGE * variance.sqrt()
 }
 
-/// Standard uncertainty of the mean of one watch, mg, from its own readings; `None` if it is too
-/// short to tell.
-pub(super) fn of_mean_mg(rest: &Rest) -> Option<f64> {
-    (rest.seconds > 0.0).then(|| Scatter::of(&[*rest], 0.0).of_mean(rest).sqrt())
+/// Standard uncertainty of the mean of a watch, mg, from its readings and those watched before it: a
+/// display that happens to stand still for a few seconds does not say that it does not wander.
+/// `None` if the watch is too short to tell.
+pub(super) fn of_mean_mg(rest: &Rest, watched: &Watched) -> Option<f64> {
+    let rests: Vec<Rest> = watched.rests().chain([*rest]).collect();
+    (rest.seconds > 0.0).then(|| Scatter::of(&rests, 0.0).of_mean(rest).sqrt())
 }
 
 /// The slope of a watch in mg/min, if it is more than twice the effect of wander and rounding;

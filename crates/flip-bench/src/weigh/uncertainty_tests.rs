@@ -70,3 +70,15 @@ fn a_still_display_is_as_sure_as_its_step_and_a_longer_watch_never_makes_it_less
         of(3.0)
     );
 }
+
+#[test]
+fn a_display_that_stands_still_for_a_moment_is_not_certain_if_it_wandered_before() {
+    // Half of the time one digit up, in turns of six seconds.
+    let turning: Vec<Moment> = (0..50)
+        .map(|k| Moment { t_s: 0.4 * f64::from(k), mass_mg: f64::from(k / 15 % 2) })
+        .collect();
+    let wandering = Watched { zero: Rest::of(&turning), ..Watched::default() };
+    let still = still(100.0, 10.0, 10.0);
+    assert_eq!(of_mean_mg(&still, &Watched::default()), Some(0.0));
+    assert!(of_mean_mg(&still, &wandering).unwrap() > 0.25);
+}

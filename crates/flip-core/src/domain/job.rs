@@ -1,6 +1,7 @@
 //! Jobs: long computations that are queued, watched, cancelled and resumed.
 
 use serde::{Deserialize, Serialize};
+use std::time::Duration;
 
 /// Kind of job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -16,6 +17,8 @@ pub enum JobKind {
     Investigation,
     /// From camera frames of piles to an angle of repose.
     Repose,
+    /// The grains of a weighing's spoonful, made again.
+    Film,
 }
 
 /// State of a job.
@@ -48,4 +51,43 @@ pub struct Progress {
     pub fraction: f64,
     /// Current activity in readable form, e.g. `trial 12, 4 of 10 sets`.
     pub message: String,
+}
+
+/// What a job is about.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Subject {
+    /// Ids of its powders, in the order of the request, each once.
+    #[serde(default)]
+    pub powders: Vec<String>,
+    /// The policy that it tests.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policy: Option<String>,
+    /// The angle of repose that it aims at, degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repose_deg: Option<f64>,
+}
+
+/// Share of the work that has to be done before its pace says how long the rest takes: the first
+/// steps are often unlike the others.
+const SHARE_MIN: f64 = 0.05;
+
+/// Time left at the pace so far, s: `done` of the work took `elapsed`, `left` of it remains. `None`
+/// until enough is done.
+pub fn seconds_left(done: f64, left: f64, elapsed: Duration) -> Option<f64> {
+    let left = left.max(0.0);
+    let enough = done > 0.0 && done >= SHARE_MIN * (done + left);
+    enough.then(|| elapsed.as_secs_f64() * left / done)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_left_follows_the_pace_so_far() {
+        assert_eq!(seconds_left(0.25, 0.75, Duration::from_secs(10)), Some(30.0));
+        assert_eq!(seconds_left(0.0, 1.0, Duration::from_secs(10)), None);
+        assert_eq!(seconds_left(0.04, 0.96, Duration::from_secs(10)), None, "a wild guess");
+        assert_eq!(seconds_left(0.5, 0.0, Duration::from_secs(10)), Some(0.0));
+    }
 }

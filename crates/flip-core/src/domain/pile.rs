@@ -40,3 +40,24 @@ pub struct Measurement {
     /// Number of frames.
     pub frames: u32,
 }
+
+/// What a picture of a pile shows where: pixels of its frames, 0 being the middle of the first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outline {
+    /// Width and height of the frames.
+    pub size: [u32; 2],
+    /// The funnel's tip, on its axis.
+    pub tip: [f64; 2],
+    /// The apex.
+    pub apex: [f64; 2],
+    /// Left and right end of the base's diameter across the view.
+    pub base: [[f64; 2]; 2],
+    /// The base's rim, closed.
+    pub rim: Vec<[f64; 2]>,
+    /// The cone: where its left side meets the level of the base, its point, and its right side.
+    pub cone: [[f64; 2]; 3],
+    /// Lower and upper end of the flank that it was fitted to, closed.
+    pub flank: [Vec<[f64; 2]>; 2],
+    /// Pixels that it was fitted to: all, or as many as are shown, evenly chosen.
+    pub points: Vec<[u32; 2]>,
+}

@@ -84,6 +84,19 @@ pub fn id_of_powder(field: &str, text: &str) -> Result<String, FieldError> {
     Ok(made_of(&same_name(text)))
 }
 
+/// The id, or the first of `id_2`, `id_3`, ... that is not taken.
+pub fn with_suffix(id: &str, is_taken: impl Fn(&str) -> bool) -> String {
+    let numbered = |k: u32| {
+        let suffix = format!("_{k}");
+        let kept = &id[..id.len().min(ID_CHARS_MAX - suffix.len())];
+        format!("{}{suffix}", kept.trim_end_matches('_'))
+    };
+    if !is_taken(id) {
+        return id.to_owned();
+    }
+    (2..).map(numbered).find(|id| !is_taken(id)).unwrap_or_else(|| id.to_owned())
+}
+
 /// Normalises a name for comparison: case and runs of blanks do not matter.
 pub fn same_name(name: &str) -> String {
     name.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase()
@@ -153,6 +166,17 @@ mod tests {
                 "{name:?}"
             );
         }
+    }
+
+    #[test]
+    fn a_taken_id_gets_the_next_number_and_keeps_its_length() {
+        let taken = ["salt", "salt_2"];
+        assert_eq!(with_suffix("sugar", |id| taken.contains(&id)), "sugar");
+        assert_eq!(with_suffix("salt", |id| taken.contains(&id)), "salt_3");
+        let long = "a".repeat(64);
+        let made = with_suffix(&long, |id| id == long);
+        assert_eq!((made.len(), made.ends_with("a_2")), (64, true));
+        assert!(powder_id("id", &made).is_ok());
     }
 
     #[test]

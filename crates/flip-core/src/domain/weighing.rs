@@ -74,6 +74,12 @@ pub struct Asked {
     /// Name of the operator.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
+    /// Name of the list of doses that it belongs to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub list: Option<String>,
+    /// Where its vial belongs in a rack.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position: Option<String>,
     /// Temperature at the balance, degrees C.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub temperature_c: Option<f64>,
@@ -84,6 +90,9 @@ pub struct Asked {
     /// be weighed. Default 0.1 (USP <41>).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accuracy_pct: Option<f64>,
+    /// What a person confirmed before asking, as in the checklist of the bench.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub checked: Vec<String>,
     /// What to do after an overdose.
     #[serde(default)]
     pub on_overdose: OnOverdose,

@@ -87,6 +87,12 @@ pub fn bootstrap_interval<T: Clone>(
     (!found.is_empty()).then(|| ends.map(|p| quantile_of_sorted(&found, p)))
 }
 
+/// First quartile, median and third quartile; `None` of no values.
+pub fn quartiles(mut values: Vec<f64>) -> Option<[f64; 3]> {
+    values.sort_unstable_by(f64::total_cmp);
+    (!values.is_empty()).then(|| [0.25, 0.5, 0.75].map(|p| quantile_of_sorted(&values, p)))
+}
+
 /// Interpolates linearly between order statistics (type 7 of Hyndman and Fan 1996); `sorted` must
 /// not be empty.
 fn quantile_of_sorted(sorted: &[f64], p: f64) -> f64 {
@@ -103,6 +109,8 @@ mod tests {
 
     #[test]
     fn textbook_numbers_come_out() {
+        assert_eq!(quartiles(vec![5.0, 1.0, 2.0, 4.0, 3.0]), Some([2.0, 3.0, 4.0]));
+        assert_eq!(quartiles(Vec::new()), None);
         let values = [2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0];
         assert_eq!(mean(&values), Some(5.0));
         assert!((sd(&values).unwrap() - (32.0f64 / 7.0).sqrt()).abs() < 1e-15);

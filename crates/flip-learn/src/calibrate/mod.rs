@@ -117,7 +117,10 @@ pub struct TooFew {
 
 fn nearest_text(tip_deg: Option<f64>) -> String {
     match tip_deg {
-        Some(deg) => format!("the nearest angle reached was {deg:.2} deg"),
+        // A heap may come near by chance: that is why sets are verified.
+        Some(deg) => format!(
+            "the nearest single heap had {deg:.2} deg, but a set counts by the mean of its verification heaps"
+        ),
         None => "no simulation gave an angle".to_owned(),
     }
 }

@@ -276,7 +276,7 @@ fn a_target_out_of_reach_is_explained_with_the_nearest_angle() {
         text.contains("found 0 of 10 sets within 1.5 deg of 82.00 deg in 40 simulations"),
         "{text}"
     );
-    assert!(text.contains("nearest angle reached was"), "{text}");
+    assert!(text.contains("nearest single heap had"), "{text}");
 }
 
 #[test]

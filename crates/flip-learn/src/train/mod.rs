@@ -46,7 +46,7 @@ mod training;
 #[cfg(feature = "libtorch")]
 pub use adam::Adam;
 pub use record::{
-    EpisodeRecord, Event, Flow, Level, Losses, RANDOMISED, Start, TrainError, Trained,
+    EpisodeRecord, Event, Flow, KEPT, Level, Losses, RANDOMISED, Start, TrainError, Trained,
 };
 pub use settings::{
     CriticLoss, Extended, FineTuning, Network, Order, PAPER_LEVELS_DEG, Preset, Replayed, Settings,

@@ -20,11 +20,22 @@ pub struct Level {
 /// Name of the powder in an episode with a parameter set from the whole box.
 pub const RANDOMISED: &str = "randomised";
 
+/// Episodes, from 1, whose network is kept, to show what the training had learned by then. That of
+/// the last episode is the policy.
+pub const KEPT: [u32; 4] = [1, 10, 100, 1000];
+
 /// Events reported by a running training.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     /// An episode was played and learned from.
     Episode(Box<EpisodeRecord>),
+    /// The network that played an episode of [`KEPT`], before anything was learned from it.
+    Kept {
+        /// Number of the episode, from 1.
+        episode: u32,
+        /// The network as a policy's bytes.
+        policy: Vec<u8>,
+    },
     /// Everything needed to resume from here. After a crash the episodes since the last checkpoint
     /// are repeated, bit for bit; their index identifies them.
     Checkpoint(Vec<u8>),

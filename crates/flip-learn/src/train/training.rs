@@ -5,7 +5,7 @@ use super::collect::{Planned, Round, Rounds, plan, remembered, stream};
 use super::curriculum::Curriculum;
 use super::environment::{Filling, Played, simulated};
 use super::record::{
-    EpisodeRecord, Event, Flow, Level, Losses, RANDOMISED, Start, TrainError, Trained,
+    EpisodeRecord, Event, Flow, KEPT, Level, Losses, RANDOMISED, Start, TrainError, Trained,
 };
 use super::replay::Replay;
 use super::sac::Learner;
@@ -64,6 +64,13 @@ pub(super) struct Progress {
     pub on_level: Vec<u32>,
 }
 
+/// A round that was played and learned from.
+struct Rounded {
+    /// [`Event::Kept`] of its episodes.
+    kept: Vec<Event>,
+    records: Vec<EpisodeRecord>,
+}
+
 /// Number of episodes in the final error.
 const RECENT: usize = 20;
 
@@ -90,12 +97,16 @@ pub fn train_on<F: Filling>(
     };
     let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
     while state.progress.episodes < settings.episodes {
-        let Some(records) = state.round(levels, settings, &spoons, flow)? else {
+        let Some(Rounded { kept, records }) = state.round(levels, settings, &spoons, flow)? else {
             return Err(TrainError::Stopped {
                 checkpoint: checkpoint::encode(&state, levels, settings),
             });
         };
         let mut stop = false;
+        // Before the checkpoint: a training that resumes from it does not play these again.
+        for event in kept {
+            stop |= on_event(event).is_break();
+        }
         for record in records {
             stop |= on_event(Event::Episode(Box::new(record))).is_break();
         }
@@ -192,7 +203,7 @@ impl State {
         settings: &Settings,
         rounds: &impl Rounds,
         flow: &Flow<'_>,
-    ) -> Result<Option<Vec<EpisodeRecord>>, TrainError> {
+    ) -> Result<Option<Rounded>, TrainError> {
         let first = self.progress.episodes;
         // A round is never split between the surrogate and the simulator.
         let on_surrogate = first < settings.surrogate_episodes;
@@ -204,6 +215,12 @@ impl State {
         let diverged = TrainError::Diverged { episodes: first };
         let actor = self.learner.snapshot(settings).ok_or(diverged)?;
         let learns = first >= settings.warmup_episodes;
+        let is_kept = |n: &u32| (first + 1..=first + count).contains(n) && *n < settings.episodes;
+        let network = |episode| Event::Kept {
+            episode,
+            policy: flip_policy::encode(&self.policy(actor.clone(), levels, settings)),
+        };
+        let kept = KEPT.into_iter().filter(is_kept).map(network).collect();
         let round = Round { planned, actor: learns.then_some(&actor), settings };
         let Some(played) = rounds.play(round, flow) else {
             return Ok(None);
@@ -227,7 +244,9 @@ impl State {
             let count = self.progress.on_level.len() as u32;
             self.curriculum.begin_again(settings.level_episodes_max(left, count));
         }
-        Ok(Some(played.iter().map(|(plan, played)| record(plan, played, levels, losses)).collect()))
+        let records =
+            played.iter().map(|(plan, played)| record(plan, played, levels, losses)).collect();
+        Ok(Some(Rounded { kept, records }))
     }
 
     fn count(&mut self, plan: &Planned, played: &Played) {
@@ -276,25 +295,18 @@ impl State {
         (count > 0).then_some(mean)
     }
 
-    fn finish(self, levels: &[Level], settings: &Settings) -> Result<Trained, TrainError> {
-        let episodes = self.progress.episodes;
-        let actor = self.learner.outcome(settings).ok_or(TrainError::Diverged { episodes })?;
-        let levels: Vec<LevelManifest> = levels
-            .iter()
-            .zip(&self.progress.on_level)
-            .map(|(level, &episodes)| LevelManifest {
-                powder: level.powder.clone(),
-                repose_deg: level.repose_deg,
-                sets: level
-                    .sets
-                    .iter()
-                    .map(|set| SetManifest { id: set.id(), parameters: *set })
-                    .collect(),
-                episodes,
-            })
-            .collect();
-        let recent = &self.progress.recent;
-        let final_error_mg = recent.iter().sum::<f64>() / recent.len().max(1) as f64;
+    /// This network as a policy, with its origin so far.
+    fn policy(&self, actor: Actor, levels: &[Level], settings: &Settings) -> Policy {
+        let level = |(level, &episodes): (&Level, &u32)| LevelManifest {
+            powder: level.powder.clone(),
+            repose_deg: level.repose_deg,
+            sets: level
+                .sets
+                .iter()
+                .map(|set| SetManifest { id: set.id(), parameters: *set })
+                .collect(),
+            episodes,
+        };
         let manifest = Manifest {
             kind: actor.kind(),
             rules: settings.rules,
@@ -306,18 +318,30 @@ impl State {
             seed: settings.seed,
             code_version: env!("CARGO_PKG_VERSION").to_owned(),
             simulator_version: flip_sim::VERSION.to_owned(),
-            levels: levels.clone(),
+            levels: levels.iter().zip(&self.progress.on_level).map(level).collect(),
             switches: self.curriculum.switches().to_vec(),
-            episodes,
-            final_error_mg: Some(final_error_mg),
+            episodes: self.progress.episodes,
+            final_error_mg: (self.progress.episodes > 0).then(|| self.recent_error_mg()),
         };
-        let policy = Policy { manifest: manifest.clone(), controller: Controller::Learned(actor) };
+        Policy { manifest, controller: Controller::Learned(actor) }
+    }
+
+    /// Mean error of the last episodes, mg.
+    fn recent_error_mg(&self) -> f64 {
+        let recent = &self.progress.recent;
+        recent.iter().sum::<f64>() / recent.len().max(1) as f64
+    }
+
+    fn finish(self, levels: &[Level], settings: &Settings) -> Result<Trained, TrainError> {
+        let episodes = self.progress.episodes;
+        let actor = self.learner.outcome(settings).ok_or(TrainError::Diverged { episodes })?;
+        let policy = self.policy(actor, levels, settings);
         Ok(Trained {
             artifact: flip_policy::encode(&policy),
-            manifest,
             episodes,
-            final_error_mg,
-            levels,
+            final_error_mg: self.recent_error_mg(),
+            levels: policy.manifest.levels.clone(),
+            manifest: policy.manifest,
         })
     }
 }

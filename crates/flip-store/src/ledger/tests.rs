@@ -3,7 +3,7 @@
 use super::{Claim, Claimed, DEATHS_MAX, FAILURES_MAX};
 use crate::jobs::Job;
 use crate::{Error, Result, Store};
-use flip_core::domain::job::{JobKind, JobState, Progress};
+use flip_core::domain::job::{JobKind, JobState, Progress, Subject};
 use flip_core::domain::timestamp::Timestamp;
 use tempfile::TempDir;
 
@@ -26,8 +26,17 @@ impl Ledger {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
-        let (job, created) =
-            tx.insert_job("job", JobKind::Calibration, "{}", &[7; 32], at(0)).await.unwrap();
+        let (job, created) = tx
+            .insert_job(
+                "job",
+                JobKind::Calibration,
+                ("{}", &[7; 32]),
+                &Subject::default(),
+                None,
+                at(0),
+            )
+            .await
+            .unwrap();
         tx.commit().await.unwrap();
         assert!(created);
         Self { store, job: job.id, _folder: folder }
@@ -217,7 +226,12 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
     let more = [("calibration 2", JobKind::Calibration), ("training", JobKind::Training)];
     for (n, (id, kind)) in more.into_iter().enumerate() {
         let sha256 = [n as u8; 32];
-        ledger.write(async |tx| tx.insert_job(id, kind, "{}", &sha256, at(0)).await).await.unwrap();
+        ledger
+            .write(async |tx| {
+                tx.insert_job(id, kind, ("{}", &sha256), &Subject::default(), None, at(0)).await
+            })
+            .await
+            .unwrap();
     }
     // Of a newer program, and older than any other.
     let foreign = "INSERT INTO job (seq, id, kind, spec, spec_sha256, state, created_at) \

@@ -130,8 +130,8 @@ fn even_a_policy_that_never_ends_early_adds_nothing_once_the_target_shows() {
 #[test]
 fn masses_decide_how_a_dose_ends() {
     for (gives_mg, outcome, acts) in [
-        // Steps used up, an avalanche, a late one, and just enough.
-        (vec![0.1], Outcome::Under, 10),
+        // Three times the steps used up, an avalanche, a late one, and just enough.
+        (vec![0.1], Outcome::Under, 30),
         (vec![13.0], Outcome::Over, 1),
         (vec![2.0, 2.0, 2.0, 9.0], Outcome::Over, 4),
         (vec![5.0, 6.0], Outcome::Within, 2),
