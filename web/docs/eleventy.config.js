@@ -59,7 +59,7 @@ function tables(md) {
 
 export default function (config) {
   config.amendLibrary('md', md => [links, anchors, tables].forEach(plugin => md.use(plugin)))
-  config.addPassthroughCopy({ '../../docs/*.{png,svg,csv}': '.', '../../docs/tutorials/*.csv': 'tutorials', 'style.css': 'style.css', 'search.js': 'search.js', '../public/mark.svg': 'mark.svg' })
+  config.addPassthroughCopy({ '../../docs/*.{png,svg,csv}': '.', '../../docs/pictures/*.png': 'pictures', '../../docs/tutorials/*.csv': 'tutorials', 'style.css': 'style.css', 'search.js': 'search.js', '../public/mark.svg': 'mark.svg' })
   config.addGlobalData('layout', 'page.njk')
   config.addGlobalData('nav', nav)
   config.addGlobalData('permalink', () => data => `${data.page.filePathStem.replace(/^\//, '')}.html`)

@@ -1,8 +1,12 @@
 /** The current state of the bench, for every view. */
 import { bench } from './api/calls'
-import type { BenchStatus, Event } from './api/types'
+import type { BenchStatus, Event, Waiting } from './api/types'
+import { num } from './format'
+import { t } from './language.svelte'
 import { live, ofJobs, ofWeighings } from './live.svelte'
+import { powderName } from './names.svelte'
 import { Resource } from './resource.svelte'
+import { TRUE_DECIMALS } from './weighing'
 
 /** Reload interval while something moves, and while no events arrive: the last event arrives just before the bench is free. */
 const MOVING_MS = 2000
@@ -57,8 +61,18 @@ class BenchNow {
 
 export const benchNow = new BenchNow()
 
-/** "2 doses are waiting". */
+/** "2 doses are waiting." */
 export function waitingText({ waiting }: BenchStatus): string {
-  const n = waiting?.length ?? 0
-  return n === 1 ? 'One dose is waiting' : `${n} doses are waiting`
+  return t('{n, plural, one {One dose is waiting.} other {{n} doses are waiting.}}', { n: waiting?.length ?? 0 })
+}
+
+/** What to do for a dose that waits for its vial. */
+export function insertText(vial: string | null | undefined): string {
+  return vial ? t('Insert vial {vial}, then confirm', { vial }) : t('Insert an empty vial, then confirm')
+}
+
+/** What a waiting dose is of, and its vial. */
+export function doseText({ target_mg, powder, vial }: Waiting): string {
+  const named = { mass: num(target_mg, TRUE_DECIMALS), powder: powderName(powder), vial: vial ?? '' }
+  return t(vial ? '{mass} mg of {powder}, vial {vial}' : '{mass} mg of {powder}', named)
 }

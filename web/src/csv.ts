@@ -23,8 +23,10 @@ export interface Column<Row> {
   wrap?: boolean
   /** Read out as the heading of the row. */
   rowHeader?: boolean
-  /** Explains the heading on hover. */
-  title?: string
+  /** The word of the glossary that explains the heading. */
+  word?: string
+  /** What the heading means in this table, in one sentence, where the glossary has no word for it. */
+  means?: string
 }
 
 /** Heading with its unit, as shown and exported. */

@@ -47,7 +47,8 @@ class Live {
       }, settle)
     }
     const off = this.on((event) => {
-      if (concerns(event)) soon()
+      // A name may be on any view.
+      if (concerns(event) || event.topic === 'label') soon()
     })
     this.#again.add(soon)
     return () => {

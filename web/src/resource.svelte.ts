@@ -1,5 +1,6 @@
 /** Values from the service, with any problem and a way to reload. */
 import { Problem } from './api/problem'
+import { placeIn } from './place'
 
 /** One document. */
 export class Resource<T> {
@@ -49,8 +50,12 @@ export class Pages<T> {
   problem = $state.raw<Problem | undefined>()
   #asked = 0
 
-  constructor(private readonly fetch: (query: Query) => Promise<Page<T>>) {
-    void this.reload()
+  /** With the name of a list, who comes back to it finds as many as were there. */
+  constructor(
+    private readonly fetch: (query: Query) => Promise<Page<T>>,
+    private readonly name?: string,
+  ) {
+    void this.#ask([], undefined, Math.max(PAGE, (name && placeIn(name).count) || 0))
   }
 
   /** Reloads as many as are shown, so that the reader keeps the place. */
@@ -60,7 +65,7 @@ export class Pages<T> {
   restart = () => this.#ask([], undefined, PAGE)
 
   /** Appends the next page. */
-  more = () => this.#ask(this.items ?? [], this.next ?? undefined, PAGE)
+  more = () => this.#ask(this.items ?? [], this.next ?? undefined, PAGE_MAX)
 
   /** Shows these items, and so many more after them. */
   async #ask(items: T[], after: string | undefined, count: number): Promise<void> {
@@ -75,6 +80,7 @@ export class Pages<T> {
         after = page.next ?? undefined
       } while (after && items.length < most)
       this.items = items
+      if (this.name) placeIn(this.name).count = items.length
       this.next = page.next
       this.total = page.total
       this.problem = undefined

@@ -31,12 +31,26 @@ class Route {
       if (value) query.set(key, value)
       else query.delete(key)
     }
-    history.replaceState(null, '', link(this.#now.parts, query))
+    history.replaceState(history.state, '', link(this.#now.parts, query))
     this.#now = parse()
+  }
+  /** Opens something on the same view: a step forward, which the browser's Back takes back. */
+  open(changes: Record<string, string>) {
+    history.pushState({ opened: true }, '', location.href)
+    this.set(changes)
+  }
+  /** Closes it again: the step is taken back, or the address changed where it was opened by its address. */
+  close(key: string) {
+    if ((history.state as { opened?: boolean } | null)?.opened) history.back()
+    else this.set({ [key]: '' })
   }
   /** Goes to another view. */
   go(...parts: string[]) {
     location.hash = link(parts)
+  }
+  /** Goes on to what a form made, which takes the form's place in the history: Back leads to where it was opened. */
+  made(address: string) {
+    location.replace(address)
   }
 }
 

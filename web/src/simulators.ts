@@ -33,6 +33,30 @@ export function simulatorOf(version: SimulatorVersion): Simulator {
   return { id: version.id, version, body: known }
 }
 
+/** A condition that a version acts through: numbers within a range, or names. */
+export interface Through {
+  name: string
+  lower?: number
+  upper?: number
+  names?: string[]
+}
+
+/** The conditions under which a version can be asked, as seen in its campaign. */
+export function throughOf({ version }: Simulator): Through[] {
+  const extensions = isObject(version?.body) && Array.isArray(version.body.extensions) ? (version.body.extensions as unknown[]) : []
+  const found = new Map<string, Through>()
+  for (const extension of extensions) {
+    const through = isObject(extension) && Array.isArray(extension.through) ? (extension.through as unknown[]) : []
+    for (const it of through) {
+      if (!isObject(it) || typeof it.name !== 'string' || found.has(it.name)) continue
+      const quantiles = Array.isArray(it.quantiles) ? it.quantiles.filter((q) => typeof q === 'number') : []
+      const range = quantiles.length > 0 ? { lower: quantiles[0], upper: quantiles.at(-1) } : { names: Object.keys(isObject(it.shares) ? it.shares : {}) }
+      found.set(it.name, { name: it.name, ...range })
+    }
+  }
+  return [...found.values()]
+}
+
 const KNOWN = ['sentence', 'causes', 'unexplained', 'gain', 'verified']
 
 /** Anything as one line of text. */
@@ -48,6 +72,7 @@ export function plain(value: unknown): string {
 /** The name of a simulator in drop-down lists. */
 export function simulatorName({ id, version, body }: Simulator): string {
   if (!version) return 'Base simulator'
+  if (version.label?.name) return version.label.name
   const what = (body.causes ?? []).map((cause, k) => (k === 0 ? causeName(cause.mechanism) : lower(causeName(cause.mechanism)))).join(' and ')
   const { covariate } = body.unexplained ?? {}
   const law = body.unexplained ? causeName(covariate ? `unknown: ${covariate}` : 'unrecorded') : ''

@@ -1,6 +1,7 @@
 /** The stop of the bench or of one weighing: sent immediately, once, and never resent automatically. */
 import { giveWay } from './api/gate'
 import { Problem } from './api/problem'
+import { t } from './language.svelte'
 import { settings } from './settings.svelte'
 
 /** No response within this time counts as not sent. */
@@ -40,7 +41,7 @@ export class Stop {
         this.phase = 'stopped'
       }
     } catch {
-      this.#failed(late.signal.aborted ? `No response within ${ANSWER_MS / 1000} s.` : 'The service is not responding.')
+      this.#failed(late.signal.aborted ? t('No response within {s} s.', { s: ANSWER_MS / 1000 }) : t('The service is not responding.'))
     }
     clearTimeout(timer)
     sent()

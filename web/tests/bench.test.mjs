@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict'
 import { readFileSync } from 'node:fs'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, openBrowser, picture, tableCells, unlock } from './browser.mjs'
+import { accessibilityFaults, csvOf, fits, openBrowser, picture, tableCells, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page
@@ -41,7 +41,7 @@ const latch = () => ({ at: '2026-01-02T03:04:05Z', reason: 'The process ended wh
 describe('the bench', () => {
   it('says what it is made of and that it may be used', async () => {
     await chromium.open(page)
-    await page.getByRole('navigation', { name: 'Views' }).getByRole('link', { name: 'Bench' }).click()
+    await page.getByRole('navigation', { name: 'Bench' }).getByRole('link', { name: 'Devices and record' }).click()
     await page.getByRole('heading', { name: 'Bench', level: 1 }).waitFor()
     await page.locator('main .badge').getByText('Ready').waitFor()
     await page.getByText('Simulated: the simulator only, no devices').waitFor()
@@ -57,7 +57,7 @@ describe('the bench', () => {
     await page.getByText('This button is not an emergency stop; the emergency stop is wired.').waitFor()
     const stop = page.getByRole('button', { name: 'Stop', exact: true })
     await page.evaluate(() => scrollTo(0, document.body.scrollHeight))
-    assert.match(await page.title(), /^Moving · Bench · FLIP$/)
+    assert.match(await page.title(), /^Moving · Devices and record · FLIP$/)
     const { y } = await stop.boundingBox()
     assert.ok(y >= 0 && y < 900, `the button is at ${y}`)
     await picture(page, 'bench-moving')
@@ -122,7 +122,7 @@ describe('the wall screen', () => {
     assert.deepEqual(await accessibilityFaults(page), [])
     for (const width of [390, 1280, 1440]) {
       await page.setViewportSize({ width, height: 844 })
-      assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth), `${width} px`)
+      assert.ok(await fits(page), `${width} px`)
     }
     await picture(page, 'wall-latched')
     await page.setViewportSize({ width: 1400, height: 900 })
@@ -139,7 +139,7 @@ describe('a latched bench', () => {
     await unlock(page, service.token)
     await page.locator('main .badge').getByText('Latched').waitFor()
     await page.getByText(latch().reason).waitFor()
-    assert.match(await page.title(), /^Latched · Bench · FLIP$/)
+    assert.match(await page.title(), /^Latched · Devices and record · FLIP$/)
     const icon = await page.locator('link[rel=icon]').evaluate((link) => link.href)
     assert.match(icon, /mark-latched\.svg$/)
     assert.equal((await fetch(icon)).headers.get('content-type'), 'image/svg+xml')
@@ -210,10 +210,10 @@ describe('a repeatability check', () => {
 describe('the record', () => {
   it('shows its last records, newest first, each with its weighing', async () => {
     await chromium.open(page, 'bench')
-    await table('Last records').getByRole('link').first().waitFor()
+    await table('Records').getByRole('link').first().waitFor()
     const { items } = await service.get('/v1/audit?limit=50')
-    const { rows } = await csvOf(page, 'Last records')
-    assert.deepEqual(rows, await tableCells(table('Last records')))
+    const { rows } = await csvOf(page, 'Records')
+    assert.deepEqual(rows, await tableCells(table('Records')))
     assert.deepEqual(rows.slice(1).map(([seq, at]) => [Number(seq), at]), items.map((r) => [r.seq, r.at]))
     assert.ok(rows.slice(1).every(([, , , , text]) => text.length <= 121))
     assert.ok(rows.slice(1).some(([, , , weighing]) => weighing === `…${made.weighing.slice(-8)}`))
@@ -221,7 +221,7 @@ describe('the record', () => {
 
   it('is found whole, with its number of records and its last hash', async () => {
     await page.getByRole('button', { name: 'Check the record' }).click()
-    const said = page.getByRole('status')
+    const said = page.getByRole('status').filter({ hasText: 'Records checked' })
     await said.getByText('The record is intact.').waitFor()
     const { records, last_hash } = await service.get('/v1/audit/verification')
     const text = (await said.textContent()).replaceAll('\u2009', '')
@@ -303,9 +303,9 @@ describe('this view', () => {
       await page.emulateMedia({ colorScheme: scheme })
       await pretend({ latch: latch(), moving: made.weighing })
       await chromium.open(page, 'bench')
-      await table('Last records').getByRole('link').first().waitFor()
+      await table('Records').getByRole('link').first().waitFor()
       await page.getByRole('button', { name: 'Check the record' }).click()
-      await page.getByRole('status').waitFor()
+      await page.getByRole('status').filter({ hasText: 'Records checked' }).waitFor()
       await page.evaluate(() => document.fonts.ready)
       await picture(page, `bench-all-${scheme}`)
       assert.deepEqual(await accessibilityFaults(page), [])
@@ -315,10 +315,10 @@ describe('this view', () => {
   it('fits a narrow window without scrolling sideways, and complains of nothing', async () => {
     await page.setViewportSize({ width: 400, height: 800 })
     await chromium.open(page, 'bench')
-    await table('Last records').getByRole('link').first().waitFor()
+    await table('Records').getByRole('link').first().waitFor()
     await page.getByRole('button', { name: 'Check the record' }).click()
-    await page.getByRole('status').waitFor()
-    assert.ok(!(await page.evaluate(() => document.documentElement.scrollWidth > innerWidth)))
+    await page.getByRole('status').filter({ hasText: 'Records checked' }).waitFor()
+    assert.ok(await fits(page))
     assert.deepEqual(chromium.complaints, [])
   })
 })

@@ -52,6 +52,20 @@ export async function unlock(page, token) {
   await page.getByRole('button', { name: /Token set/ }).waitFor()
 }
 
+/** Presses the button that opens a form at the side, and gives the panel. */
+export async function openPanel(page, button) {
+  await page.getByRole('button', { name: button, exact: true }).click()
+  const panel = page.locator('dialog[open]')
+  await panel.locator('form').first().waitFor()
+  return panel
+}
+
+/** Whether the page is no wider than its window, once the layout has settled: after a resize scripts and observers still change it. */
+export async function fits(page) {
+  const settled = page.waitForFunction(() => document.documentElement.scrollWidth <= innerWidth, undefined, { timeout: 5000 })
+  return settled.then(() => true, () => false)
+}
+
 /** What axe finds wrong, by rule and place. */
 export async function accessibilityFaults(page) {
   // Under the page's policy no script may be injected as a tag; evaluating one is the debugger's, not the page's.
@@ -60,7 +74,7 @@ export async function accessibilityFaults(page) {
   return violations.flatMap((rule) => rule.nodes.map((node) => `${rule.id}: ${node.target.join(' ')}: ${node.failureSummary}`))
 }
 
-/** Heading and cells of a table as its CSV must hold them. */
+/** Heading and cells of a table as its CSV must hold them, drawn whole as on paper. */
 export function tableCells(table) {
   return table.evaluate((element) => {
     const plain = (cell) => {
@@ -68,14 +82,16 @@ export function tableCells(table) {
       const text = time ? time.getAttribute('datetime') : cell.textContent.trim()
       return text === '–' ? '' : text.replaceAll('−', '-').replaceAll('\u2009', '')
     }
+    dispatchEvent(new Event('beforeprint'))
     const rows = [...element.querySelectorAll('tr')].map((row) => [...row.children].filter((cell) => !cell.classList.contains('no-print') && !cell.classList.contains('empty')))
+    dispatchEvent(new Event('afterprint'))
     return rows.filter((cells) => cells.length > 0).map((cells) => cells.map(plain))
   })
 }
 
-/** Presses the CSV button of the table with this caption and reads the file. */
-export async function csvOf(page, caption) {
-  const [file] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: `CSV of ${caption}`, exact: true }).click()])
+/** Presses the CSV button of the table with this caption and reads the file; `button` is its name. */
+export async function csvOf(page, caption, button = `CSV of ${caption}`) {
+  const [file] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: button, exact: true }).click()])
   return { name: file.suggestedFilename(), rows: parseCsv(readFileSync(await file.path(), 'utf8')) }
 }
 

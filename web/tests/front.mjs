@@ -6,13 +6,13 @@ import { extname, join } from 'node:path'
 const KINDS = { '.html': 'text/html', '.js': 'text/javascript', '.css': 'text/css', '.svg': 'image/svg+xml', '.woff2': 'font/woff2' }
 
 /**
- * Stands before the service at `target`; with `folder` gives the page's files from there.
+ * Stands before the service at `target`; with `folder` gives the page's files from there, with `docs` the documentation's if they are built.
  *
  * `does(request)` may say: `'hang'` (never answered, not passed on), `'cut'` (passed on, and the connection cut instead of an
  * answer), `{ status, body, kind }` (answered so, not passed on), the same with `after: true` (passed on, and answered so
  * when the service has done it), or nothing. What came is in `seen`; `open(path)` says how many of a path are open.
  */
-export async function startFront(target, { folder, does = () => undefined } = {}) {
+export async function startFront(target, { folder, docs, does = () => undefined } = {}) {
   const service = new URL(target)
   const seen = []
   const front = {
@@ -33,8 +33,7 @@ export async function startFront(target, { folder, does = () => undefined } = {}
   function say(answer, { status, body = '<h1>Bad gateway</h1>', kind = typeof body === 'string' ? 'text/html' : 'application/json' }) {
     answer.writeHead(status, { 'content-type': kind }).end(typeof body === 'string' ? body : JSON.stringify(body))
   }
-  function file(path, answer) {
-    const name = join(folder, path === '/' ? 'index.html' : path)
+  function file(name, answer) {
     if (!existsSync(name)) return answer.writeHead(404).end()
     answer.writeHead(200, { 'content-type': KINDS[extname(name)] ?? 'application/octet-stream', 'content-security-policy': policy })
     createReadStream(name).pipe(answer)
@@ -48,7 +47,8 @@ export async function startFront(target, { folder, does = () => undefined } = {}
     const wanted = front.does(came)
     if (wanted === 'hang') return
     if (wanted && wanted !== 'cut' && !wanted.after) return say(answer, wanted)
-    if (!wanted && folder && (path === '/' || /^\/(assets\/|mark)/.test(path))) return file(path, answer)
+    if (!wanted && folder && (path === '/' || /^\/(assets\/|mark)/.test(path))) return file(join(folder, path === '/' ? 'index.html' : path), answer)
+    if (!wanted && docs && path.startsWith('/docs/') && existsSync(join(docs, path.slice(6)))) return file(join(docs, path.slice(6)), answer)
     pass(request, answer, (told) => {
       if (wanted) {
         told.resume()

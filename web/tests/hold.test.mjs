@@ -1,7 +1,7 @@
 /** A bench that is held or latched, with doses that wait, and a vial that a person puts in. */
 import assert from 'node:assert/strict'
 import { after, before, beforeEach, describe, it } from 'node:test'
-import { accessibilityFaults, openBrowser, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, fits, openBrowser, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page, bench
@@ -54,8 +54,26 @@ describe('a held bench', () => {
       await strip().getByText('2 doses are waiting.').waitFor()
       assert.equal(await strip().getByRole('button', { name: 'Stop' }).count(), 0)
     }
-    await strip().getByRole('link', { name: 'Resume the bench' }).click()
-    await page.getByRole('form', { name: 'Resume the bench' }).waitFor()
+  })
+
+  it('is resumed where it is seen, on any view and by the keyboard, with the doses that begin then', async () => {
+    for (const width of [1440, 390]) {
+      await page.setViewportSize({ width, height: 900 })
+      const said = await pretend({ held: HELD, waiting: WAITING })
+      await chromium.open(page, 'jobs')
+      await strip().getByRole('button', { name: 'Resume the bench' }).press('Enter')
+      const panel = page.getByRole('dialog', { name: 'Resume the bench' })
+      assert.equal((await panel.getByRole('listitem').allTextContents()).length, 2)
+      assert.deepEqual(await accessibilityFaults(page), [])
+      assert.ok(await fits(page))
+      await picture(page, `resume-${width}`)
+      await panel.getByLabel('Your name').fill('Grace')
+      await panel.getByRole('button', { name: 'Resume', exact: true }).press('Enter')
+      await panel.waitFor({ state: 'detached' })
+      assert.deepEqual(said, [{ by: 'Grace', note: '' }])
+      assert.match(page.url(), /#\/jobs$/)
+    }
+    await page.setViewportSize({ width: 1400, height: 900 })
   })
 
   for (const scheme of ['light', 'dark']) {
@@ -65,7 +83,7 @@ describe('a held bench', () => {
       await chromium.open(phone, 'bench')
       await phone.getByRole('form', { name: 'Resume the bench' }).waitFor()
       assert.deepEqual(await accessibilityFaults(phone), [])
-      assert.ok(!(await phone.evaluate(() => document.documentElement.scrollWidth > innerWidth)))
+      assert.ok(await fits(phone))
       await picture(phone, `held-phone-${scheme}`)
       await phone.context().close()
     })
@@ -78,6 +96,9 @@ describe('a held bench', () => {
     assert.deepEqual((await doses()).map((text) => text.trim()), ['12.00 mg of Salt into vial A1 Awaiting vial', '8.50 mg of Sand Planned'])
     await picture(page, 'held')
     const resume = page.getByRole('button', { name: 'Resume', exact: true })
+    // The name of the token is suggested; somebody has to be named.
+    assert.equal(await page.getByLabel('Your name').inputValue(), 'first start')
+    await page.getByLabel('Your name').fill('')
     await resume.click()
     assert.equal(await page.getByLabel('Your name').evaluate((box) => box.validity.valueMissing), true)
     await page.getByLabel('Your name').fill('Grace')
@@ -172,8 +193,9 @@ describe('a dose whose vial is not in yet', () => {
       said.push(route.request().postDataJSON())
       return route.fulfill({ status: 400, contentType: 'application/problem+json', json: { type: 'urn:flip:problem:invalid', title: 'The request is not valid', status: 400, detail: '', errors: [{ field: 'asked.vial', message: 'is in use' }] } })
     })
-    await chromium.open(page, 'weighings')
+    await chromium.open(page, 'weighings?new=dose')
     const form = page.getByRole('form', { name: 'Weigh a dose' })
+    await form.getByLabel('Powder', { exact: true }).selectOption('sand')
     for (const [field, text] of [['Lot of the powder', 'L-7'], ['Vial', 'A1'], ['Operator', 'Ada']]) await form.getByLabel(field, { exact: true }).fill(text)
     const weigh = form.getByRole('button', { name: 'Weigh' })
     await weigh.click()

@@ -2,9 +2,10 @@
 import assert from 'node:assert/strict'
 import { readFileSync } from 'node:fs'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, openBrowser, picture, tableCells, unlock } from './browser.mjs'
+import { accessibilityFaults, csvOf, fits, openBrowser, openPanel, picture, tableCells, unlock } from './browser.mjs'
 import { humidDays } from './campaign.mjs'
 import { startService } from './service.mjs'
+import { explanations, unexplained } from './words.mjs'
 
 let service, chromium, page
 
@@ -19,6 +20,15 @@ after(async () => {
   await service?.stop()
 })
 
+/** Height of the page above its details, in a window of 1440 by 900. */
+async function beforeDetails() {
+  await page.setViewportSize({ width: 1440, height: 900 })
+  await page.evaluate(() => document.fonts.ready)
+  const height = await page.locator('.report details').first().evaluate((it) => it.getBoundingClientRect().top + scrollY)
+  await page.setViewportSize({ width: 1400, height: 900 })
+  return height
+}
+const openAll = () => page.getByRole('button', { name: 'Open all details' }).click()
 const table = (caption) => page.getByRole('table', { name: caption, exact: true })
 
 /** The view's CSV is what its table shows. */
@@ -43,6 +53,7 @@ describe('an investigation', () => {
   it('of a bad file is refused by row and column, and nothing is queued', async () => {
     await chromium.open(page, 'investigations')
     await unlock(page, service.token)
+    await openPanel(page, 'Start an investigation')
     await upload('powder,repose_deg,relative_humidity_pct\nsand,28,40\nsand,280,40\n')
     await start()
     await page.getByRole('alert').getByText(/row\[3\]\.repose_deg/).waitFor()
@@ -50,7 +61,7 @@ describe('an investigation', () => {
   })
 
   it('of shakes that nobody made is refused too', async () => {
-    await chromium.open(page, 'investigations')
+    await chromium.open(page, 'investigations?new=investigation')
     await page.getByLabel(/what fell from the spoon/).check()
     await start()
     await page.getByRole('alert').getByText(/hold 0 spoonfuls/).waitFor()
@@ -62,14 +73,19 @@ describe('an investigation', () => {
     await page.getByLabel('Seed').fill('7')
     await page.getByLabel('Campaigns without an effect').fill('199')
     await start()
-    await page.getByRole('heading', { name: 'Investigation', level: 1, exact: true }).waitFor()
-    await page.locator('main .badge', { hasText: 'Succeeded' }).waitFor({ timeout: 240_000 })
+    await page.getByRole('heading', { name: /^Investigation/, level: 1 }).waitFor()
+    await page.locator('main .badge', { hasText: 'Succeeded' }).waitFor({ timeout: 480_000 })
     id = new URL(page.url()).hash.split('/').at(-1)
     found = await service.get(`/v1/investigations/${id}`)
     assert.deepEqual([found.seed, found.simulations], [7, 199])
     await page.getByText(found.report.sentence, { exact: true }).waitFor()
     await page.getByText('chance of evidence this strong if nothing is wrong').waitFor()
     await picture(page, 'investigation-real')
+  })
+
+  it('is read in three screens, and all the rest is a click away', async () => {
+    assert.ok((await beforeDetails()) <= 3 * 900, `${await beforeDetails()} px`)
+    await openAll()
   })
 
   it('draws every recorded condition and holds every row of the file', async () => {
@@ -138,6 +154,7 @@ describe('an investigation', () => {
   it('is cancelled while it runs', async () => {
     await chromium.open(page, 'investigations')
     await unlock(page, service.token)
+    await openPanel(page, 'Start an investigation')
     await upload(humidDays())
     await page.getByLabel('Campaigns without an effect').fill('9999')
     await start()
@@ -165,6 +182,86 @@ describe('a report', () => {
     await show('cause')
     const first = page.locator('main section').first()
     assert.match(await first.textContent(), /^Humidity makes sugar .*Cause named.*p = 0\.002: chance of evidence this strong if nothing is wrong\. It is the smallest that 499 simulated campaigns can show\./)
+  })
+
+  it('has verdict, cause, gain and next experiment in three screens, and the rest as details', async () => {
+    const headings = (selector) => page.locator(`.report ${selector}`).allTextContents()
+    assert.deepEqual(await headings('section:not(:has(details)) h2'), ['How well each cause explains the data', 'Before and after', 'The next experiment'])
+    assert.deepEqual(await headings('details h2'), ['Where measured and simulated angles differ', 'Effect on each powder', 'What these data cannot show', 'Null check', 'Provenance'])
+    assert.equal(await page.locator('.report details[open]').count(), 0)
+    assert.ok((await beforeDetails()) <= 3 * 900, `${await beforeDetails()} px`)
+  })
+
+  it('keeps to three screens with tables of any length', async () => {
+    const before = await beforeDetails()
+    const long = stored('cause.html').replaceAll(/<tbody>(.*?)<\/tbody>/gs, (_, rows) => `<tbody>${rows.repeat(20)}</tbody>`)
+    await page.route(`**/v1/investigations/${ID}/report.html?fragment=true`, (route) => route.fulfill({ contentType: 'text/html; charset=utf-8', body: long }))
+    await page.reload()
+    const more = page.getByRole('button', { name: /^Show all \d+ rows$/ })
+    await more.first().waitFor()
+    const after = await beforeDetails()
+    assert.ok(after <= 3 * 900, `${before} px, with long tables ${after} px`)
+    const evidence = table('Evidence for each cause')
+    assert.equal(await evidence.locator('tbody tr:visible').count(), 6)
+    await more.first().focus()
+    await page.keyboard.press('Enter')
+    assert.equal(await evidence.locator('tbody tr:visible').count(), 80)
+    await show('cause')
+  })
+
+  it('has a list of contents that follows the reader, beside it or as a menu', async () => {
+    for (const width of [1440, 1280, 390]) {
+      await page.setViewportSize({ width, height: 900 })
+      await show('cause')
+      const contents = page.getByRole('navigation', { name: 'Contents' })
+      const menu = contents.getByRole('button', { name: /^Contents/ })
+      const now = () => contents.locator('[aria-current]').textContent()
+      assert.equal(await menu.count(), width < 1100 ? 1 : 0)
+      await page.waitForFunction(() => document.querySelector('nav[aria-label=Contents] [aria-current]')?.textContent === 'Result')
+      const go = async (name) => {
+        if (width < 1100) {
+          await menu.focus()
+          await page.keyboard.press('Enter')
+        }
+        await contents.getByRole('link', { name }).focus()
+        await page.keyboard.press('Enter')
+      }
+      await go('Null check')
+      assert.match(page.url(), /at=null-check/)
+      await page.getByRole('table', { name: 'Smallest detectable effects' }).waitFor()
+      assert.equal(await page.evaluate(() => document.activeElement.textContent), 'Null check')
+      // Read on: the list follows, and stays in the window.
+      await page.locator('#before-and-after').evaluate((it) => scrollTo(0, it.getBoundingClientRect().top + scrollY - 100))
+      await page.waitForFunction(() => document.querySelector('nav[aria-label=Contents] [aria-current]')?.textContent === 'Before and after')
+      const box = await contents.boundingBox()
+      assert.ok(box.y >= 0 && box.y < 200, JSON.stringify(box))
+      assert.ok((await now()) === 'Before and after' && (await fits(page)))
+      if (width < 1100) await menu.getByText('Before and after').waitFor()
+      await picture(page, `investigation-contents-${width}`)
+      assert.deepEqual(await accessibilityFaults(page), [])
+    }
+    await page.setViewportSize({ width: 1400, height: 900 })
+    // A link to a part leads there.
+    await chromium.open(page, `investigations/${ID}?at=provenance`)
+    await page.locator('#provenance details[open]').waitFor()
+    await show('cause')
+  })
+
+  it('is printed whole, and as it was afterwards', async () => {
+    await page.evaluate(() => dispatchEvent(new Event('beforeprint')))
+    await page.emulateMedia({ media: 'print' })
+    assert.equal(await page.locator('.report details:not([open])').count(), 0)
+    await page.getByRole('table', { name: 'Smallest detectable effects' }).waitFor()
+    assert.equal(await page.getByRole('navigation', { name: 'Contents' }).count(), 0)
+    await page.emulateMedia({ media: null })
+    await page.evaluate(() => dispatchEvent(new Event('afterprint')))
+    assert.equal(await page.locator('.report details[open]').count(), 0)
+  })
+
+  it('explains its words by the keyboard', async () => {
+    await openAll()
+    assert.deepEqual(await unexplained(page), [])
+    for (const [word, { text, within }] of await explanations(page)) assert.ok(text.length > 11 && within, `${word}: ${text}`)
   })
 
   it('draws the condition of its finding first, names and missing values too', async () => {
@@ -219,7 +316,7 @@ describe('a report', () => {
   it('fits a narrow window without scrolling sideways', async () => {
     await page.setViewportSize({ width: 400, height: 800 })
     await show('cause')
-    assert.ok(!(await page.evaluate(() => document.documentElement.scrollWidth > innerWidth)))
+    assert.ok(await fits(page))
     await page.setViewportSize({ width: 1400, height: 900 })
     await page.unrouteAll()
   })

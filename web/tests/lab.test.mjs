@@ -1,7 +1,7 @@
 /** Doses on an emulated laboratory that cannot exchange vials: confirmed, stopped, held and resumed on the page. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { openBrowser, unlock } from './browser.mjs'
+import { openBrowser, openPanel, unlock } from './browser.mjs'
 import { startLab, startService } from './service.mjs'
 
 let lab, service, chromium, page
@@ -25,9 +25,13 @@ after(async () => {
 async function weigh(vial) {
   await chromium.open(page, 'weighings')
   if (!(await page.getByRole('button', { name: /Token set/ }).count())) await unlock(page, service.token)
-  const form = page.getByRole('form', { name: 'Weigh a dose' })
+  const form = await openPanel(page, 'Weigh a dose')
+  await form.getByLabel('Powder', { exact: true }).selectOption('sand')
   await form.getByLabel('Target').fill('12')
   await form.getByLabel('Vial', { exact: true }).fill(vial)
+  const checklist = form.getByRole('group', { name: 'Before the dose' })
+  await checklist.waitFor()
+  for (const box of await checklist.getByRole('checkbox').all()) await box.check()
   await form.getByRole('button', { name: 'Weigh' }).click()
   await page.waitForURL(/#\/weighings\/[0-9a-f-]{36}/)
   return page.url().match(/[0-9a-f-]{36}/)[0]
@@ -64,7 +68,7 @@ describe('doses for two vials in a laboratory', () => {
   })
 
   it('go on when a person resumes the bench, who sees the second', async () => {
-    await strip().getByRole('link', { name: 'Resume the bench' }).click()
+    await strip().getByRole('button', { name: 'Resume the bench' }).click()
     await page.getByRole('list', { name: 'Waiting doses' }).getByText('12.00 mg of Sand').waitFor()
     await page.getByLabel('Your name').fill('Grace')
     await page.getByRole('button', { name: 'Resume', exact: true }).click()

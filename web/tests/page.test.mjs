@@ -3,8 +3,9 @@ import assert from 'node:assert/strict'
 import { createHash } from 'node:crypto'
 import { readFileSync } from 'node:fs'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, openBrowser, picture, tableCells, unlock } from './browser.mjs'
+import { accessibilityFaults, csvOf, fits, openBrowser, openPanel, picture, tableCells, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
+import { explanations, unexplained } from './words.mjs'
 
 let service, chromium, page
 /** Small stored results: two calibrations, a training of a few episodes, an evaluation, a dose. */
@@ -47,7 +48,7 @@ async function csvEqualsTable(caption) {
 
 describe('the overview', () => {
   it('tells the story of the five powders with the numbers the service holds', async () => {
-    await chromium.open(page)
+    await chromium.open(page, 'story')
     await table('Powders, from measured pile to last weighed dose').waitFor()
     const rows = await csvEqualsTable('Powders, from measured pile to last weighed dose')
     const { items } = await service.get('/v1/powders')
@@ -78,10 +79,12 @@ describe('powders', () => {
   it('adds a measured powder from the form', async () => {
     await chromium.open(page, 'powders')
     await unlock(page, service.token)
+    await openPanel(page, 'Add a measured powder')
     await page.getByLabel('Name').fill('Lactose 200M')
     await page.getByLabel('Mean (°)').fill('46.5')
     await page.getByLabel('SD (°)').fill('1.2')
     await page.getByRole('button', { name: 'Add the measurement' }).click()
+    await page.getByText('Lactose 200M was added.').waitFor()
     await row('Powders and their measurements', 'Lactose 200M').waitFor()
     const { powder, measurements } = await service.get('/v1/powders/lactose_200m')
     assert.deepEqual([powder.name, measurements[0].repose_deg, measurements[0].n], ['Lactose 200M', 46.5, 5])
@@ -101,8 +104,9 @@ describe('powders', () => {
 
 describe('a calibration', () => {
   it('is started from the form and watched until it has converged', async () => {
-    await chromium.open(page, 'powders?calibrate=sand')
+    await chromium.open(page, 'powders')
     await unlock(page, service.token)
+    await chromium.open(page, 'powders?calibrate=sand')
     await page.getByLabel('Search method').selectOption('sequential')
     await page.getByLabel('Sets to keep').fill('1')
     await page.getByLabel('Tolerance (°)').fill('5')
@@ -155,10 +159,11 @@ describe('a training', () => {
     for (const order of ['Random', 'Reverse', 'Domain randomisation']) {
       await chromium.open(page, 'trainings')
       await unlock(page, service.token)
-      await page.getByLabel('Order of the levels').selectOption(order)
+      const form = await openPanel(page, 'Start a training')
+      await form.getByLabel('Order of the levels').selectOption(order)
       // Sand and sugar are calibrated; nothing is chosen where powders are drawn from the whole box.
-      if (order !== 'Domain randomisation') await page.getByLabel('Salt').uncheck()
-      await page.getByLabel('Episodes').fill('4')
+      if (order !== 'Domain randomisation') await form.getByLabel('Salt').uncheck()
+      await form.getByLabel('Episodes').fill('4')
       await page.getByRole('button', { name: 'Start the training' }).click()
       await page.getByText('Table of Reward of the episode').waitFor()
       await page.locator('main .badge', { hasText: 'Succeeded' }).waitFor({ timeout: 120_000 })
@@ -175,7 +180,8 @@ describe('a training', () => {
 describe('a policy', () => {
   it('shows its lineage and its evaluation', async () => {
     await chromium.open(page, `policies/${made.policy}`)
-    await page.getByRole('link', { name: made.training.id }).waitFor()
+    await page.getByRole('link', { name: 'This training' }).waitFor()
+    await page.getByRole('button', { name: `Copy the ID …${made.training.id.slice(-8)}` }).waitFor()
     const rows = await csvEqualsTable('Errors by powder and target')
     const { result } = await service.get(`/v1/evaluations/${made.evaluation.id}`)
     assert.deepEqual(rows.slice(1).map((cells) => cells[4]), result.rows.map((r) => r.mae_mg.toFixed(2)))
@@ -199,9 +205,11 @@ describe('a policy', () => {
 describe('a weighing', () => {
   it('cannot be started without a token, and the page says how to get one', async () => {
     const stranger = await chromium.tab()
-    await chromium.open(stranger, 'weighings')
+    await chromium.open(stranger, 'weighings?new=dose')
     await stranger.getByRole('button', { name: 'Enter an operator token to write' }).click()
     await stranger.getByText('flip token create --role operator').waitFor()
+    await stranger.keyboard.press('Escape')
+    await stranger.getByText('flip token create --role operator').waitFor({ state: 'hidden' })
     await stranger.keyboard.press('Escape')
     await unlock(stranger, service.token)
     const kept = await stranger.evaluate(() => [sessionStorage.getItem('flip-token'), JSON.stringify(localStorage), document.cookie])
@@ -213,7 +221,7 @@ describe('a weighing', () => {
   it('is started from the form and followed until its verdict', async () => {
     await chromium.open(page, 'weighings?powder=sand')
     await unlock(page, service.token)
-    const form = page.getByRole('form', { name: 'Weigh a dose' })
+    const form = await openPanel(page, 'Weigh a dose')
     await form.getByLabel('Target').fill('0.012')
     await form.getByLabel('Unit').first().selectOption('g')
     await form.getByLabel('Tolerance −').fill('10')
@@ -238,7 +246,8 @@ describe('a weighing', () => {
     const before = (await service.get('/v1/weighings')).items.length
     await chromium.open(page, 'weighings')
     await unlock(page, service.token)
-    const form = page.getByRole('form', { name: 'Weigh a dose' })
+    const form = await openPanel(page, 'Weigh a dose')
+    await form.getByLabel('Powder', { exact: true }).selectOption('sand')
     await form.getByLabel('Target').fill('9000')
     await form.getByRole('button', { name: 'Weigh' }).click()
     await page.getByRole('alert').waitFor()
@@ -321,7 +330,8 @@ describe('jobs', () => {
 
 describe('every view', () => {
   const views = () => ({
-    overview: '',
+    console: '',
+    overview: 'story',
     powders: 'powders',
     powder: 'powders/sand',
     calibration: `calibrations/${made.sugar.id}`,
@@ -353,13 +363,46 @@ describe('every view', () => {
     })
   }
 
+  for (const [width, height] of [[1440, 900], [390, 844]]) {
+    it(`explains every heading and column that names a term, by the keyboard, at ${width} px`, async () => {
+      await page.setViewportSize({ width, height })
+      const missing = []
+      for (const [name, hash] of Object.entries(views())) {
+        await chromium.open(page, hash)
+        await page.locator('.sheet').first().waitFor()
+        await page.waitForTimeout(700)
+        missing.push(...(await unexplained(page)).map((what) => `${name}: ${what}`))
+        for (const [word, { text, within }] of await explanations(page)) if (text.length < 12 || !within) missing.push(`${name}: ${word} says “${text}”${within ? '' : ', out of the window'}`)
+      }
+      await page.setViewportSize({ width: 1400, height: 900 })
+      assert.deepEqual(missing, [])
+    })
+  }
+
+  it('shows every column of its tables at 1280 px, and says so where there is no room', async () => {
+    const cut = () => page.locator('main [role=region]:visible').evaluateAll((regions) => regions.filter((it) => it.scrollWidth > it.clientWidth + 2).map((it) => `${it.ariaLabel}, ${it.scrollWidth - it.clientWidth} px`))
+    await page.setViewportSize({ width: 1280, height: 800 })
+    const found = []
+    for (const [name, hash] of Object.entries(views())) {
+      await chromium.open(page, hash)
+      await page.locator('.sheet').first().waitFor()
+      await page.waitForTimeout(500)
+      found.push(...(await cut()).map((what) => `${name}: ${what}`))
+    }
+    assert.deepEqual(found, [])
+    await page.setViewportSize({ width: 390, height: 844 })
+    await chromium.open(page, 'weighings')
+    await page.getByText('There are more columns than fit').waitFor()
+    await page.setViewportSize({ width: 1400, height: 900 })
+  })
+
   it('fits a narrow window without scrolling sideways', async () => {
     await page.setViewportSize({ width: 400, height: 800 })
     const wide = []
     for (const [name, hash] of Object.entries(views())) {
       await chromium.open(page, hash)
       await page.locator('.sheet').first().waitFor()
-      if (await page.evaluate(() => document.documentElement.scrollWidth > innerWidth)) wide.push(name)
+      if (!(await fits(page))) wide.push(name)
     }
     await page.setViewportSize({ width: 1400, height: 900 })
     assert.deepEqual(wide, [])
@@ -370,10 +413,10 @@ describe('every view', () => {
     await page.keyboard.press('Tab')
     assert.equal(await page.evaluate(() => document.activeElement.textContent), 'Skip to content')
     const focused = () => page.evaluate(() => document.activeElement.textContent.trim())
-    for (let k = 0; k < 20 && (await focused()) !== 'Jobs'; k++) await page.keyboard.press('Tab')
-    assert.equal(await focused(), 'Jobs')
+    for (let k = 0; k < 20 && (await focused()) !== 'Powders'; k++) await page.keyboard.press('Tab')
+    assert.equal(await focused(), 'Powders')
     await page.keyboard.press('Enter')
-    await page.getByRole('heading', { name: 'Jobs', level: 1 }).waitFor()
+    await page.getByRole('heading', { name: 'Powders', level: 1 }).waitFor()
     assert.equal(await page.evaluate(() => document.activeElement.id), 'main')
   })
 

@@ -24,6 +24,7 @@ try {
   network.on('Network.loadingFinished', (e) => (sent += e.encodedDataLength))
   await page.addInitScript(() => {
     globalThis.longTasks = []
+    globalThis.listNow = () => [...document.querySelectorAll('main table tbody:not([aria-hidden]), main [role=status], main .note')].map((part) => part.textContent).join()
     new PerformanceObserver((list) => globalThis.longTasks.push(...list.getEntries().map((e) => e.duration))).observe({ type: 'longtask', buffered: true })
   })
 
@@ -38,13 +39,12 @@ try {
     await act()
     return performance.now() - began
   }
-  /** The list is another one: its first row, or what it says of its size. */
+  /** The list is another one: its first rows, or what it says of its size. */
   const changed = (path, act) =>
     timed(async () => {
-      const now = () => page.evaluate(() => document.querySelector('main table tbody')?.textContent + (document.querySelector('main [role=status]')?.textContent ?? ''))
-      const before = await now()
+      const before = await page.evaluate(() => globalThis.listNow())
       await act()
-      await page.waitForFunction((before) => document.querySelector('main table tbody')?.textContent + (document.querySelector('main [role=status]')?.textContent ?? '') !== before, before)
+      await page.waitForFunction((before) => globalThis.listNow() !== before, before)
       await rows(path).first().waitFor()
     })
 
@@ -65,6 +65,8 @@ try {
     }
     told(`${path}: first view, nothing cached`, times, 'ms')
     told(`${path}: sent in the first seconds`, sizes, 'kB', '<= 150')
+    await page.waitForTimeout(6000)
+    told(`${path}: fetched ahead for other views, once nothing moves`, [sent / 1000 - sizes.at(-1)], 'kB')
   }
 
   await chromium.open(page, 'weighings')
@@ -87,13 +89,14 @@ try {
 
   await chromium.open(page, 'weighings')
   for (let k = 0; k < 19; k++) await changed('weighings', () => page.getByRole('button', { name: 'Show more' }).click())
-  const shown = await rows('weighings').count()
+  const shown = parseInt((await page.locator('main .note').textContent()).replaceAll('\u2009', ''))
+  const drawn = await rows('weighings').count()
   await page.evaluate(() => (globalThis.longTasks.length = 0))
-  await page.mouse.move(700, 500)
-  for (let k = 0; k < 100; k++) await page.mouse.wheel(0, 400)
+  await page.getByRole('region', { name: 'Weighings', exact: true }).hover()
+  for (let k = 0; k < 300; k++) await page.mouse.wheel(0, 400)
   await page.waitForTimeout(500)
   const long = await page.evaluate(() => globalThis.longTasks)
-  told(`weighings: longest task while ${shown} rows are scrolled`, [Math.max(0, ...long)], 'ms', '<= 50')
+  told(`weighings: longest task while ${shown} rows are scrolled, ${drawn} of them drawn`, [Math.max(0, ...long)], 'ms', '<= 50')
   await chromium.browser.close()
   if (chromium.complaints.length > 0) throw new Error(chromium.complaints.join('\n'))
 } finally {

@@ -1,7 +1,7 @@
 /** Angles of repose by camera, on an emulated stand, in a real Chromium before a real `flip serve`. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, openBrowser, picture, tableCells, unlock } from './browser.mjs'
+import { accessibilityFaults, openBrowser, openPanel, picture, tableCells, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page, measured
@@ -35,17 +35,36 @@ describe('an angle of repose by camera', () => {
     const frame = page.getByRole('img', { name: 'Pile 1 as the camera saw it' })
     await frame.scrollIntoViewIfNeeded()
     await page.waitForFunction((image) => image.naturalWidth === 848, await frame.elementHandle())
+    // The fit lies on the frame as the camera gave it: the apex in the table is that of the service.
+    await page.getByRole('img', { name: /^The fit over pile 1/ }).waitFor()
+    const parts = await tableCells(page.getByRole('table', { name: 'Where the parts are' }))
+    assert.deepEqual(parts[2], ['Apex', ...measured.piles[0].outline.apex.map((pixel) => pixel.toFixed(1))])
     assert.deepEqual(await accessibilityFaults(page), [])
     await picture(page, 'repose')
   })
 
-  it('is asked for on the powder’s page, and cancelled', async () => {
+  it('stands beside a heap that the simulator pours of a calibrated set', async () => {
     await chromium.open(page, 'powders/sand')
     await unlock(page, service.token)
+    const section = page.locator('section', { has: page.getByRole('heading', { name: 'Measured and simulated heap' }) })
+    await section.getByRole('button', { name: 'Show the heap' }).click()
+    await section.locator('canvas').waitFor({ timeout: 120_000 })
+    const [film] = (await service.get('/v1/films')).items
+    const { tip_deg } = film.result.heap
+    const [, apex] = await tableCells(section.getByRole('table', { name: 'Measured and simulated angles' }))
+    const { deg } = measured.piles[0].measured.tip
+    assert.deepEqual([apex[1], apex[3], Number(apex[4])], [deg.toFixed(2), tip_deg.toFixed(2), Number((tip_deg - deg).toFixed(2))])
+    await picture(page, 'heaps-real')
+  })
+
+  it('is asked for on the powder’s page, and cancelled', async () => {
+    await chromium.open(page, 'powders/sand')
     const table = page.getByRole('table', { name: 'By camera', exact: true })
     await table.waitFor()
     assert.equal((await tableCells(table)).length, 2)
-    await page.getByRole('button', { name: 'Measure by camera' }).click()
+    const form = await openPanel(page, 'Measure by camera')
+    await form.getByLabel('Piles').fill('3')
+    await form.getByRole('button', { name: 'Start the measurement' }).click()
     await page.getByRole('heading', { name: 'Angle of repose by camera, Sand, run 2', level: 1 }).waitFor()
     await page.getByRole('button', { name: /Cancel/ }).click()
     await page.locator('main .badge').getByText('Cancelled').waitFor({ timeout: 60_000 })

@@ -54,7 +54,7 @@ export async function startService(...more) {
   }
   const { url: own, token } = JSON.parse(said)
   // FLIP_PAGE: a page built since, without building the binary again.
-  front = process.env.FLIP_PAGE && (await startFront(own, { folder: resolve(process.env.FLIP_PAGE) }))
+  front = process.env.FLIP_PAGE ? await startFront(own, { folder: resolve(process.env.FLIP_PAGE), docs: resolve(process.env.FLIP_PAGE, '../docs-dist') }) : undefined
   const url = front ? front.url : own
 
   /** One call; refuses anything but 2xx. */
@@ -70,6 +70,7 @@ export async function startService(...more) {
   }
   const get = (path) => ask('GET', path)
   const post = (path, body, headers) => ask('POST', path, body, headers)
+  const put = (path, body) => ask('PUT', path, body)
 
   /** The job once it has ended well. */
   async function finished(id, seconds = 400) {
@@ -82,5 +83,5 @@ export async function startService(...more) {
     throw new Error(`job ${id} is not done after ${seconds} s\n${log}`)
   }
 
-  return { url, token, folder: join(folder, 'data'), get, post, finished, stop, kill: () => child.kill('SIGKILL') }
+  return { url, token, folder: join(folder, 'data'), get, post, put, finished, stop, kill: () => child.kill('SIGKILL') }
 }

@@ -1,7 +1,7 @@
 /** Versions of the simulator, in a real Chromium before a real `flip serve`: listed, compared, taken into use and rolled back. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, openBrowser, picture, tableCells, unlock } from './browser.mjs'
+import { accessibilityFaults, csvOf, fits, openBrowser, picture, tableCells, unlock } from './browser.mjs'
 import { humidDays } from './campaign.mjs'
 import { startService } from './service.mjs'
 
@@ -94,14 +94,28 @@ describe('simulators', () => {
     await unlock(page, service.token)
     await page.getByRole('button', { name: `Use ${version.id}` }).focus()
     await page.keyboard.press('Enter')
+    // Adopted knowingly: the gain, what it does not cover, and a reason.
+    const dialog = page.getByRole('dialog', { name: /^Use Humidity, sv-/ })
+    await dialog.getByText(/Error reduced by/).waitFor()
+    await dialog.getByText(/It is known only for relative humidity \(%\) from \d/).waitFor()
+    assert.deepEqual(await accessibilityFaults(page), [])
+    await picture(page, 'simulator-adopt')
+    await dialog.getByRole('button', { name: 'Use it' }).click()
+    assert.equal((await current()).simulator, 'base', 'not without a reason')
+    await dialog.getByLabel('Reason, for the record').fill('It predicts humid days')
+    await page.keyboard.press('Tab')
+    await page.keyboard.press('Enter')
     await page.getByRole('status').getByText(/^Humidity, sv-.* is now in use\.$/).waitFor()
     const used = await current()
-    assert.deepEqual([used.simulator, used.before], [version.id, 'base'])
+    assert.deepEqual([used.simulator, used.before, used.reason], [version.id, 'base', 'It predicts humid days'])
+    await page.getByText('Reason: It predicts humid days').waitFor()
     assert.equal(await page.getByRole('button', { name: `Use ${version.id}` }).count(), 0, 'what is in use cannot be chosen again')
     await page.getByRole('button', { name: 'Use the base simulator' }).waitFor()
 
     await page.getByRole('button', { name: 'Go back to Base simulator' }).focus()
     await page.keyboard.press('Space')
+    await page.getByLabel('Reason, for the record').fill('Back, for a comparison')
+    await page.getByRole('button', { name: 'Use it' }).click()
     await page.getByRole('status').getByText('Base simulator is now in use.').waitFor()
     const back = await current()
     assert.deepEqual([back.simulator, back.before], ['base', version.id])
@@ -112,11 +126,37 @@ describe('simulators', () => {
     const answer = await fetch(`${service.url}/v1/simulators/current`, { method: 'PUT', headers: { authorization: `Bearer ${service.token}`, 'content-type': 'application/json' }, body: JSON.stringify({ simulator: version.id }) })
     assert.equal(answer.status, 200)
     await page.locator('.current strong', { hasText: version.id }).waitFor()
-    // docs/simulators.png is this.
+    // docs/pictures/simulators.png is this.
     await chromium.open(page, 'simulators')
     await page.getByRole('img', { name: /Salt: angle of repose over Relative humidity/ }).waitFor()
     await page.evaluate(() => document.fonts.ready)
     await picture(page, 'simulators-real')
+  })
+
+  it('are chosen in every form that computes: first the one in use, with its conditions', async () => {
+    await chromium.open(page, 'trainings?new=training')
+    const simulator = page.getByLabel('Simulator', { exact: true })
+    await page.getByRole('combobox', { name: 'Simulator' }).waitFor()
+    assert.equal(await simulator.inputValue(), version.id)
+    await page.getByLabel('Relative humidity (%)').fill('99')
+    const [request] = await Promise.all([page.waitForRequest((it) => it.method() === 'POST' && it.url().endsWith('/v1/trainings')), page.getByRole('button', { name: 'Start the training' }).click()])
+    assert.deepEqual([request.postDataJSON().simulator, request.postDataJSON().conditions], [version.id, { relative_humidity_pct: 99 }])
+    // Its powders are not calibrated with that version: the page says so, and where to.
+    await page.getByRole('alert').getByText(/has no calibration yet/).waitFor()
+    await simulator.selectOption('base')
+    assert.equal(await page.getByLabel('Relative humidity (%)').count(), 0)
+    await chromium.open(page, 'weighings?new=dose')
+    await page.getByLabel('Simulator', { exact: true }).waitFor()
+    assert.equal(await page.getByLabel('Simulator', { exact: true }).inputValue(), version.id)
+    const [policy] = (await service.get('/v1/policies')).items
+    await chromium.open(page, `policies/${policy.id}?new=evaluation`)
+    await page.getByLabel('Simulator', { exact: true }).waitFor()
+    await page.getByLabel('Targets (mg)').fill('10 mg; abc')
+    await page.getByRole('group', { name: 'Powders' }).waitFor()
+    await page.getByLabel('Simulator', { exact: true }).selectOption('base')
+    await page.getByRole('button', { name: 'Start the evaluation' }).click()
+    await page.getByText(/must be masses in mg, as in 15, 20, got abc/).first().waitFor()
+    assert.deepEqual(await accessibilityFaults(page), [])
   })
 
   it('are where an investigation says that it made one', async () => {
@@ -208,7 +248,7 @@ describe('two versions of different campaigns', () => {
     await picture(page, 'simulators-narrow')
     const wide = await page.evaluate(() => [...document.querySelectorAll('main *')].filter((e) => e.getBoundingClientRect().right > innerWidth && !e.closest('.scroll')).map((e) => e.outerHTML.slice(0, 120)))
     assert.deepEqual(wide, [])
-    assert.ok(!(await page.evaluate(() => document.documentElement.scrollWidth > innerWidth)))
+    assert.ok(await fits(page))
     await page.setViewportSize({ width: 1400, height: 900 })
     await page.unrouteAll()
   })

@@ -56,7 +56,7 @@ describe('a stop', () => {
     front.does = ({ path }) => path === '/v1/bench' ? { status: 200, body: { ...bench, piling: { job: 'a-measurement', pile: 2 } } } : undefined
     for (const view of ['', 'powders', 'weighings', 'bench', 'jobs']) {
       await chromium.open(page, view)
-      await page.getByText('Pile 2 of a measurement is being made').waitFor()
+      await page.getByRole('region', { name: 'Bench now' }).getByText('Pile 2 of a measurement is being made').waitFor()
       await stop().waitFor()
     }
     const sent = page.waitForRequest((request) => request.method() === 'POST' && request.url().endsWith(STOP))
@@ -121,6 +121,35 @@ describe('a stop', () => {
     assert.equal(front.count('POST', STOP), 1)
   })
 
+  it('does not wait for the file of the views that are opened less often', async () => {
+    moving()
+    const { does } = front
+    const bench = (request) => request.path === '/v1/bench' || request.path === '/v1/events' || request.method === 'POST'
+    const one = await chromium.tab()
+    const tabs = [one]
+    while (tabs.length < 6) tabs.push(await chromium.beside(one.context()))
+    for (const tab of tabs) await chromium.open(tab, 'bench')
+    await unlock(one, service.token)
+    // From here on nothing is answered before the stop has come but what a stop is made of.
+    front.does = (request) => (front.count('POST', STOP) === 0 && !bench(request) ? 'hang' : does(request))
+    const later = () => front.seen.filter(({ path, open }) => path.startsWith('/assets/later') && open).length
+    for (const tab of tabs) await tab.evaluate(() => (location.hash = '#/weighings'))
+    await one.evaluate(() => (location.hash = '#/simulators'))
+    await one.getByText('Loading…').waitFor()
+    const taken = () => front.seen.filter(({ open }) => open).length
+    for (let k = 0; taken() < 6; k++) {
+      assert.ok(k < 100, `${taken()} of six connections are taken`)
+      await new Promise((go) => setTimeout(go, 100))
+    }
+    await one.getByRole('button', { name: 'Stop', exact: true }).click()
+    await one.getByText(/^Stopped after \d+ ms$/).waitFor()
+    assert.equal(front.count('POST', STOP), 1)
+    // What gave way is asked for again, and the view comes.
+    await one.getByRole('heading', { name: 'Simulators', level: 1 }).waitFor()
+    assert.equal(later(), 0)
+    await one.context().close()
+  })
+
   it('is at hand where a narrow window is scrolled', async () => {
     const phone = await chromium.tab({ viewport: { width: 390, height: 844 } })
     moving()
@@ -130,6 +159,36 @@ describe('a stop', () => {
     assert.ok(box.y >= 0 && box.y < 300 && box.height >= 38, JSON.stringify(box))
     await picture(phone, 'stop-phone')
     await phone.context().close()
+  })
+})
+
+describe('the file of the views that are opened less often', () => {
+  const late = (answer) => (front.does = ({ path }) => (path.startsWith('/assets/later') ? answer : undefined))
+
+  it('can be asked for again when it did not arrive', async () => {
+    const other = await chromium.tab()
+    late({ status: 502 })
+    await chromium.open(other, '')
+    await other.getByRole('link', { name: 'Simulator', exact: true }).click()
+    await other.getByRole('alert').getByText('The service returned 502').waitFor()
+    assert.deepEqual(await accessibilityFaults(other), [])
+    front.does = () => undefined
+    await other.getByRole('button', { name: 'Try again' }).click()
+    await other.getByRole('heading', { name: 'Simulators', level: 1 }).waitFor()
+    await other.context().close()
+  })
+
+  it('of an earlier version asks for a reload', async () => {
+    const other = await chromium.tab()
+    late({ status: 404 })
+    await chromium.open(other, '')
+    await other.getByRole('link', { name: 'Simulator', exact: true }).click()
+    await other.getByRole('alert').getByText('FLIP has been updated').waitFor()
+    await picture(other, 'updated')
+    front.does = () => undefined
+    await other.getByRole('button', { name: 'Reload the page' }).click()
+    await other.getByRole('heading', { name: 'Simulators', level: 1 }).waitFor()
+    await other.context().close()
   })
 })
 

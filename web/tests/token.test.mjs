@@ -56,7 +56,7 @@ describe('a token that the service knows', () => {
       const tab = await chromium.tab()
       await chromium.open(tab, 'bench')
       await unlock(tab, secret)
-      const set = tab.getByRole('button', { name: `Token set: ${role}` })
+      const set = tab.getByRole('button', { name: `Token set: a ${role}, ${role}` })
       await set.click()
       await tab.getByRole('dialog').getByRole('status').getByText(may).waitFor()
       assert.deepEqual(await accessibilityFaults(tab), [])

@@ -1,7 +1,7 @@
 /** A dose that was asked for is poured once, whatever became of the answer. */
 import assert from 'node:assert/strict'
 import { after, afterEach, before, describe, it } from 'node:test'
-import { openBrowser, picture, unlock } from './browser.mjs'
+import { openBrowser, openPanel, picture, unlock } from './browser.mjs'
 import { startFront } from './front.mjs'
 import { startService } from './service.mjs'
 
@@ -36,7 +36,9 @@ let target = 10
 const fill = async () => {
   await chromium.open(page, 'weighings')
   if (!(await page.getByRole('button', { name: /Token set/ }).count())) await unlock(page, service.token)
-  await page.getByLabel('Target').fill(String(target))
+  await openPanel(page, 'Weigh a dose')
+  await page.getByRole('form', { name: 'Weigh a dose', exact: true }).getByLabel('Powder', { exact: true }).selectOption('sand')
+  await page.getByLabel('Target', { exact: true }).fill(String(target))
 }
 const weigh = () => page.getByRole('button', { name: 'Weigh', exact: true }).click()
 const lost = () => page.getByRole('status').filter({ hasText: 'It is not known whether' })

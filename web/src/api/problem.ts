@@ -27,6 +27,8 @@ export class Problem extends Error {
     readonly fields: FieldProblem[] = [],
     /** The service itself refused it and did nothing: it was not refused by a machine in between, nor halfway through. */
     readonly refused = false,
+    /** The kind of refusal, as `calibration-missing`; empty for a failure of the network. */
+    readonly code = '',
   ) {
     super(detail || title)
   }
@@ -37,7 +39,9 @@ export class Problem extends Error {
     const text = (value: unknown, otherwise: string) => (typeof value === 'string' ? value : otherwise)
     const fields = Array.isArray(it.errors) ? (it.errors as FieldProblem[]) : []
     const ours = headers.get('content-type')?.startsWith('application/problem+json') && text(it.type, '').startsWith(OURS) && it.status === status
-    return new Problem(text(it.title, `The service returned ${status}`), text(it.detail, ''), status, fields, !!ours && REFUSED.includes(status))
+    const type = text(it.type, '')
+    const code = type.startsWith(OURS) ? type.slice(OURS.length) : ''
+    return new Problem(text(it.title, `The service returned ${status}`), text(it.detail, ''), status, fields, !!ours && REFUSED.includes(status), code)
   }
 
   /** From anything thrown; `lost` says what a missing response means. */
