@@ -14,20 +14,31 @@ export interface Remedy {
   href?: string
 }
 
-/** The powder that a refusal is about: the first name in it that is one. */
-function powderOf({ detail }: Problem) {
+/** The powder that a sentence of a refusal is about: the first name in it that is one. */
+function powderOf(detail: string) {
   const named = [...detail.matchAll(/`([^`]+)`/g)].map(([, name]) => name)
   return knownPowders().find((powder) => named.includes(powder.id))
 }
 
+function ofUncalibrated(detail: string, t: Say): Remedy | undefined {
+  const powder = powderOf(detail)
+  const [, running] = /calibration `([^`]+)` is under way/.exec(detail) ?? []
+  if (powder && running) return { text: t('{powder} has no calibration yet: one is running.', { powder: powder.name }), label: t('Watch it'), href: link(['calibrations', running]) }
+  return powder && { text: t('{powder} has no calibration yet: FLIP does not know how it flows.', { powder: powder.name }), label: t('Calibrate {powder}', { powder: powder.name }), href: link(['powders', powder.id], new URLSearchParams({ calibrate: 'yes' })) }
+}
+
+/** For the rows of a list: one for each powder that has to be calibrated first. */
+export function remediesOfRows({ fields }: Problem, t: Say): Remedy[] {
+  const uncalibrated = fields.filter(({ message }) => message.includes('has no parameter set'))
+  const remedies = uncalibrated.map(({ message }) => ofUncalibrated(message, t)).filter((it) => it !== undefined)
+  return [...new Map(remedies.map((it) => [it.text, it])).values()]
+}
+
 export function remedyOf(problem: Problem, t: Say): Remedy | undefined {
-  const powder = powderOf(problem)
+  const powder = powderOf(problem.detail)
   switch (problem.code) {
-    case 'calibration-missing': {
-      const [, running] = /calibration `([^`]+)` is under way/.exec(problem.detail) ?? []
-      if (powder && running) return { text: t('{powder} has no calibration yet: one is running.', { powder: powder.name }), label: t('Watch it'), href: link(['calibrations', running]) }
-      return powder && { text: t('{powder} has no calibration yet: FLIP does not know how it flows.', { powder: powder.name }), label: t('Calibrate {powder}', { powder: powder.name }), href: link(['powders', powder.id], new URLSearchParams({ calibrate: 'yes' })) }
-    }
+    case 'calibration-missing':
+      return ofUncalibrated(problem.detail, t)
     case 'measurement-missing':
       return powder && { text: t('The angle of repose of {powder} has not been measured.', { powder: powder.name }), label: t('Enter a measurement of {powder}', { powder: powder.name }), href: link(['powders', powder.id]) }
     case 'bench-latched':

@@ -44,6 +44,16 @@ describe('a list of doses', () => {
     assert.deepEqual(await accessibilityFaults(page), [])
   })
 
+  it('offers the calibration that a powder of its rows lacks, once', async () => {
+    await opened()
+    await filled('Plate 1', GOOD.replaceAll('Sand', 'Salt'))
+    await form().getByRole('button', { name: 'Check the list' }).click()
+    const alert = form().getByRole('alert')
+    await alert.getByText('row[3].powder').waitFor()
+    assert.match(await alert.getByRole('link', { name: 'Calibrate Salt' }).getAttribute('href'), /#\/powders\/salt\?calibrate=yes$/)
+    assert.deepEqual(await accessibilityFaults(page), [])
+  })
+
   it('is checked, then weighed in order by the keyboard alone', async () => {
     await opened(1280)
     await filled('Plate 1', GOOD)
