@@ -82,7 +82,7 @@ const EXCEPTIONS: [(&str, &[&str]); 2] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 30] = [
+const CONFINED: [(&str, &[&str]); 34] = [
     ("sqlx::", &["store"]),
     ("axum::", &["api"]),
     ("utoipa::", &["api"]),
@@ -100,7 +100,11 @@ const CONFINED: [(&str, &[&str]); 30] = [
     ("png::", &["hardware", "emulate"]),
     ("tower_http::", &["api"]),
     ("tch::", &["train"]),
-    ("csv::", &["app"]),
+    ("csv::", &["app", "api"]),
+    ("arrow_array::", &["api"]),
+    ("arrow_ipc::", &["api"]),
+    ("arrow_schema::", &["api"]),
+    ("zip::", &["api"]),
     ("jsonwebtoken::", &["app"]),
     ("ureq::", &["app"]),
     ("maud::", &["app"]),

@@ -26,6 +26,8 @@ use axum::http::request::Parts;
 use axum::http::{Extensions, HeaderMap, HeaderValue, Method, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 
 /// Who sent a request.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -185,22 +187,32 @@ pub async fn on_behalf(request: Request, next: Next) -> Response {
 }
 
 async fn holder(app: &App, authorization: &HeaderValue) -> Result<Caller, Problem> {
-    let secret = authorization.to_str().ok().and_then(bearer);
+    let secret = authorization.to_str().ok().and_then(secret);
     let secret = secret.ok_or_else(|| {
-        Problem::unauthorized("write the header as Authorization: Bearer flip_...")
+        Problem::unauthorized(
+            "write the header as Authorization: Bearer flip_..., or send HTTP Basic with the token as password",
+        )
     })?;
-    let holder = match app.authenticate(secret) {
+    let holder = match app.authenticate(&secret) {
         Some(holder) => Some(holder),
-        None => app.authenticate_late(secret).await,
+        None => app.authenticate_late(&secret).await,
     };
     let holder = holder
         .ok_or_else(|| Problem::unauthorized("the token is unknown, has expired or was revoked"))?;
     Ok(Caller::Holder(holder))
 }
 
-fn bearer(header: &str) -> Option<&str> {
-    let (scheme, secret) = header.split_once(' ')?;
-    scheme.eq_ignore_ascii_case("bearer").then(|| secret.trim())
+/// The token of an `Authorization` header: of Bearer, or the password of Basic (RFC 7617), which is
+/// all that some clients can send. The user name is theirs to choose.
+fn secret(header: &str) -> Option<String> {
+    let (scheme, value) = header.split_once(' ')?;
+    let value = value.trim();
+    if scheme.eq_ignore_ascii_case("bearer") {
+        return Some(value.to_owned());
+    }
+    let decoded = scheme.eq_ignore_ascii_case("basic").then(|| STANDARD.decode(value).ok())??;
+    let pair = String::from_utf8(decoded).ok()?;
+    pair.split_once(':').map(|(_, password)| password.to_owned())
 }
 
 /// Host (HTTP/1) or authority (HTTP/2) of a request; empty if it has neither.

@@ -4,7 +4,7 @@
 //! (number of stops so far), [`edge`] (id, protocol of errors, headers, metrics), a panic handler,
 //! [`auth::same_origin`], [`auth::identify`]; a stop then goes to the bench, and everything else
 //! waits for its body and its seat ([`limits`]) and goes on to its route in [`rest`], [`grpc`],
-//! [`probes`] or [`page`] on the main runtime.
+//! [`madsci`], [`probes`] or [`page`] on the main runtime.
 
 mod asked;
 mod auth;
@@ -16,10 +16,12 @@ pub mod grpc;
 mod journal;
 mod limits;
 mod listen;
+mod madsci;
 mod page;
 mod probes;
 pub mod problem;
 pub mod rest;
+mod webhooks;
 pub mod wire;
 
 pub use listen::{ServeConfig, ServeError, Tls};
@@ -95,6 +97,7 @@ impl Server {
         tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().keep_tokens()));
         tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().greet_provider()));
         tokio::spawn(journal::keep(self.app.clone(), closing.clone()));
+        tokio::spawn(webhooks::keep(self.app.clone(), closing.clone()));
         shutdown.await;
         closing.cancel();
         let close = async {
@@ -117,6 +120,7 @@ fn is_compressed() -> impl Predicate {
 fn main_router(app: &App, closing: CancellationToken) -> Router {
     rest::router(app.clone())
         .merge(grpc::router(app.clone(), closing))
+        .merge(madsci::router(app.clone()))
         .merge(probes::metrics(app.clone()))
         .fallback(page::fallback)
         .layer(CompressionLayer::new().compress_when(is_compressed()))

@@ -29,10 +29,22 @@ impl App {
     /// # Errors
     /// `NotFound`; `Conflict` (`weighing_unfinished`, or `not_a_dose` for a probing run).
     pub async fn certificate(&self, id: &str, laboratory: Option<&str>) -> Result<String> {
+        let (detail, unrecorded) = self.ended_dose(id).await?;
+        let mut record = Recorded { unrecorded, ..Recorded::default() };
+        self.export_audit(AuditAsked::of(id), |it| record.add(it)).await?;
+        Ok(certificate(&detail, &record, laboratory.or(self.laboratory())))
+    }
+
+    /// A dose that has ended, as the record has it: anyone with access to the file can change its
+    /// row. `true`: it predates the record.
+    ///
+    /// # Errors
+    /// `NotFound`; `Conflict` (`weighing_unfinished`, `not_a_dose` for a probing run,
+    /// `record_differs`).
+    pub(super) async fn ended_dose(&self, id: &str) -> Result<(WeighingDetail, bool)> {
         let mut detail = self.weighing(id).await?;
         if detail.weighing.outcome.is_none() {
-            let advice =
-                format!("weighing {id} has not ended: its certificate can be printed once it has");
+            let advice = format!("weighing {id} has not ended: ask again once it has");
             return Err(Error::conflict("weighing_unfinished", advice));
         }
         if detail.weighing.asked.probe.is_some() {
@@ -42,15 +54,10 @@ impl App {
             );
             return Err(Error::conflict("not_a_dose", advice));
         }
-        let mut record = Recorded::default();
-        match self.outcome_on_record(id).await? {
-            // From the record rather than the row: anyone with access to the file can change the
-            // row.
-            Some(said) => detail.weighing = said,
-            None => record.unrecorded = true,
-        }
-        self.export_audit(AuditAsked::of(id), |it| record.add(it)).await?;
-        Ok(certificate(&detail, &record, laboratory.or(self.laboratory())))
+        let said = self.outcome_on_record(id).await?;
+        let unrecorded = said.is_none();
+        detail.weighing = said.unwrap_or(detail.weighing);
+        Ok((detail, unrecorded))
     }
 
     /// The certificate of all doses of a list, which have ended.

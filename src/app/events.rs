@@ -72,6 +72,18 @@ impl App {
         Ok(stream::unfold(follower, next).boxed())
     }
 
+    /// Waits until a job or weighing has ended, at most `patience`; or until the service shuts down
+    /// or the token of the request ends.
+    ///
+    /// # Errors
+    /// `NotFound`
+    pub async fn wait_for(&self, topic: Topic, patience: Duration) -> Result<()> {
+        let mut events = self.events(topic, self.last_event()).await?;
+        let ended = async { while let Some(Ok(_)) = events.next().await {} };
+        let _patience_is_over = tokio::time::timeout(patience, ended).await;
+        Ok(())
+    }
+
     /// Sequence number of the newest event: pass it to [`App::events`] to get only new ones.
     pub fn last_event(&self) -> i64 {
         *self.store().watch_events().borrow()

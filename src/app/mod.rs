@@ -3,6 +3,7 @@
 
 mod archive;
 mod asked;
+mod asm;
 mod audit_search;
 mod backup;
 mod bench;
@@ -36,6 +37,7 @@ mod long_answers;
 mod measurement_csv;
 mod measurements;
 mod nearest;
+mod node_actions;
 mod oidc;
 mod policies;
 mod powder_card;
@@ -55,6 +57,7 @@ mod tokens;
 mod trace_csv;
 mod trainings;
 mod vials;
+mod webhooks;
 mod weighing_search;
 mod weighings;
 
@@ -115,6 +118,7 @@ pub use flip_store::events::Event;
 pub use flip_store::holds::Held;
 pub use flip_store::jobs::Job;
 pub use flip_store::labels::{ArchivedItems, Label, LabelKind, Shown};
+pub use flip_store::node_actions::{Fate, NodeAction};
 pub use flip_store::observations::PowderObservation;
 pub use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery, SERIES_LIMIT_MAX};
 pub use flip_store::pan::Reservation;
@@ -129,6 +133,7 @@ pub use flip_store::stops::Stopped;
 pub use flip_store::tokens::{Role, TokenEntry};
 pub use flip_store::trials::{Episode, Trial, TrialPhase};
 pub use flip_store::verify::ChangedRow;
+pub use flip_store::webhooks::{Webhook, WebhookRow};
 pub use flip_store::weighing_search::{WeighingSort, WeighingsFound, WeighingsWanted};
 pub use flip_store::weighings::{Waiting, Weighing};
 pub use flip_store::who::{Who, acting};
@@ -151,6 +156,7 @@ pub use steepness::Steepness;
 pub use tokens::NewToken;
 pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use vials::{ReservationRequest, VialReadyRequest};
+pub use webhooks::NewWebhook;
 pub use weighing_search::WeighingsAsked;
 pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
 

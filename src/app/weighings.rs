@@ -301,34 +301,30 @@ impl App {
     }
 
     /// Stops a weighing: at once if it is waiting; if it is running, the arm is notified at once,
-    /// then the spoon is levelled. Not an emergency stop.
+    /// then the spoon is levelled. `false`: it had ended before, which whoever stops twice or too
+    /// late wanted. Not an emergency stop.
     ///
     /// # Errors
-    /// `NotFound`; `Conflict` (`weighing_finished`).
-    pub async fn stop_weighing(&self, id: &str) -> Result<Weighing> {
+    /// `NotFound`
+    pub async fn stop_weighing(&self, id: &str) -> Result<(Weighing, bool)> {
         if let Some(weighing) = self.halt_weighing(id, None)? {
-            return Ok(weighing);
+            return Ok((weighing, true));
         }
         // Lets the task that carries stops go on to the next one: from here on this waits for the
         // disk and the database.
         tokio::task::yield_now().await;
         if let Some(weighing) = self.jobs_or_refuse()?.bench().stop_waiting(id).await? {
-            return Ok(weighing);
+            return Ok((weighing, true));
         }
         // It may have started meanwhile.
         if let Some(weighing) = self.halt_weighing(id, None)? {
-            return Ok(weighing);
+            return Ok((weighing, true));
         }
         let row =
             self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
-        if row.weighing.outcome.is_none() {
-            // It is at rest, and its end is about to be recorded.
-            return Ok(row.weighing);
-        }
-        Err(Error::conflict(
-            "weighing_finished",
-            format!("weighing {id} has ended: there is nothing to stop"),
-        ))
+        // Without an outcome it is at rest, and its end is about to be recorded.
+        let ends = row.weighing.outcome.is_none();
+        Ok((row.weighing, ends))
     }
 }
 

@@ -46,7 +46,7 @@ mod weigh_list;
 
 use crate::app::{ArchivedItems, LIST_LIMIT_MAX, PageQuery, Shown};
 use crate::telemetry;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 use failure::Failure;
 use serde::Serialize;
 use std::ffi::OsString;
@@ -67,6 +67,11 @@ struct Cli {
     common: Common,
     #[command(subcommand)]
     command: Command,
+}
+
+/// The command line as its parser has it.
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 /// Options of every command.

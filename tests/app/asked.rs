@@ -301,7 +301,7 @@ async fn a_restored_folder_begins_none_of_its_planned_doses_before_a_person_resu
     let later = app.start_weighing(mg("sand", 7.0), "later").await.unwrap().0.id;
     assert_eq!(app.weighing(&planned).await.unwrap().weighing.state, WeighingState::Planned);
     assert_eq!(gate.pours.load(Ordering::SeqCst), 2);
-    assert!(matches!(app.stop_weighing(&planned).await.unwrap().outcome, Some(Outcome::Stopped)));
+    assert!(matches!(app.stop_weighing(&planned).await.unwrap().0.outcome, Some(Outcome::Stopped)));
     app.resume_bench(resume()).await.unwrap();
     assert_eq!(done(&app, &later).await.outcome, Some(Outcome::Within));
     app.shutdown().await.unwrap();

@@ -89,7 +89,7 @@ async fn a_stop_while_nothing_moves_holds_too_also_over_a_restart() {
     app.stop_bench().await.unwrap();
     let waiting = app.start_weighing(mg("sand", 6.0), "waiting").await.unwrap().0.id;
     let stopped = app.start_weighing(mg("sand", 6.0), "stopped").await.unwrap().0.id;
-    assert_eq!(app.stop_weighing(&stopped).await.unwrap().outcome, Some(Outcome::Stopped));
+    assert_eq!(app.stop_weighing(&stopped).await.unwrap().0.outcome, Some(Outcome::Stopped));
     let before = app.bench().await.unwrap().held;
     app.shutdown().await.unwrap();
     drop(app);
@@ -113,7 +113,7 @@ async fn a_stop_is_answered_from_memory_while_another_program_holds_the_database
     let other = another_program(folder.path()).await;
     let holding = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
     let stopping = tokio::time::timeout(std::time::Duration::from_secs(1), async {
-        let weighing = app.stop_weighing(&moving).await.unwrap();
+        let weighing = app.stop_weighing(&moving).await.unwrap().0;
         (weighing, app.stop_bench().await.unwrap())
     });
     let (weighing, held) = stopping.await.expect("nothing waits for the other program");

@@ -14,7 +14,7 @@ use crate::app::Role;
 use axum::Router;
 use axum::body::{Body, HttpBody};
 use axum::extract::{Extension, Request, State};
-use axum::http::Method;
+use axum::http::{Method, Uri};
 use axum::response::{IntoResponse, Response};
 use std::sync::Arc;
 use std::time::Duration;
@@ -74,7 +74,7 @@ impl Hall {
         if of_grpc && let Some(Access::Least(role)) = access::access(path) {
             caller.require(role)?;
         }
-        let (class, streams) = (class(&request, &caller), is_stream(path));
+        let (class, streams) = (class(&request, &caller), is_stream(request.uri()));
         let request = self.with_body(request, &caller).await?;
         let stream =
             streams.then(|| self.streams.take(connection, caller.is_anonymous())).transpose()?;
@@ -164,12 +164,18 @@ fn is_safe(method: &Method) -> bool {
     matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
 }
 
-/// Whether the response at this path continues for as long as events arrive.
-pub fn is_stream(path: &str) -> bool {
+/// Whether the response continues for as long as events arrive, or waits for one.
+pub fn is_stream(uri: &Uri) -> bool {
+    let path = uri.path();
     match path.starts_with("/v1/") {
-        true => path.ends_with("/events"),
+        true => path.ends_with("/events") || uri.query().is_some_and(waits),
         false => access::streams(path),
     }
+}
+
+/// Whether a query asks to wait until something has ended.
+fn waits(query: &str) -> bool {
+    form_urlencoded::parse(query.as_bytes()).any(|(key, _)| key == "wait")
 }
 
 /// Whether the response grows with the whole history.
@@ -238,11 +244,14 @@ mod tests {
         for path in [
             "/v1/events",
             "/v1/jobs/1/events",
+            "/v1/jobs/1?wait=30",
             "/flip.v1.Jobs/WatchJob",
             "/grpc.health.v1.Health/Watch",
         ] {
-            assert!(is_stream(path), "{path}");
+            assert!(is_stream(&path.parse().unwrap()), "{path}");
         }
-        assert!(!is_stream("/v1/jobs/1") && !is_stream("/flip.v1.Jobs/GetJob"));
+        for path in ["/v1/jobs/1", "/v1/jobs/1?limit=1", "/flip.v1.Jobs/GetJob"] {
+            assert!(!is_stream(&path.parse().unwrap()), "{path}");
+        }
     }
 }

@@ -161,7 +161,7 @@ async fn follow(
     request: Request,
     next: Next,
 ) -> Response {
-    let kind = if is_stream(request.uri().path()) { Kind::Stream } else { Kind::Ordinary };
+    let kind = if is_stream(request.uri()) { Kind::Stream } else { Kind::Ordinary };
     let under_way = connection.begin(kind);
     next.run(request).await.map(|body| Body::new(Answer::new(body, under_way)))
 }

@@ -9,7 +9,7 @@ use super::arrival::Arrivals;
 use super::connection::{Connection, Kind};
 use crate::api::auth;
 use crate::api::problem::Problem;
-use crate::api::{grpc, rest};
+use crate::api::{grpc, madsci, rest};
 use crate::app::{App, Role};
 use axum::Router;
 use axum::body::Body;
@@ -46,10 +46,12 @@ impl Elsewhere {
     }
 }
 
-/// The four stop routes. Waiting is done on `main`, and stops of the bench never queue with stops
+/// The stop routes. Waiting is done on `main`, and stops of the bench never queue with stops
 /// of single weighings.
 pub fn router(app: App, main: &Handle) -> Router {
-    let bench = rest::bench_stop(app.clone()).merge(grpc::bench_stop(app.clone()));
+    let bench = rest::bench_stop(app.clone())
+        .merge(grpc::bench_stop(app.clone()))
+        .merge(madsci::stop(app.clone()));
     let (by_path, by_message) = (rest::weighing_stop(app.clone()), grpc::weighing_stop(app));
     let of_weighings = Elsewhere::of(main);
     let by_message = carried(by_message, of_weighings.clone()).route_layer(from_fn(message));

@@ -12,8 +12,9 @@ use std::sync::LazyLock;
 
 /// Prefixes of the names of read-only methods.
 const READING: [&str; 6] = ["Get", "List", "Watch", "Compare", "Verify", "Download"];
-/// The service reserved for admins.
+/// The services reserved for admins.
 const TOKENS: &str = "Tokens";
+const WEBHOOKS: &str = "Webhooks";
 /// Its method for every caller.
 const IDENTITY: &str = "GetIdentity";
 /// Its methods for people who have no token yet.
@@ -51,6 +52,7 @@ fn access_of(service: &str, method: &str) -> Access {
     match READING.iter().any(|word| method.starts_with(word)) {
         _ if service == TOKENS && LOG_IN.contains(&method) => Access::LogIn,
         _ if service == TOKENS && method != IDENTITY => Access::Least(Role::Admin),
+        _ if service == WEBHOOKS => Access::Least(Role::Admin),
         true => Access::Least(Role::Viewer),
         false => Access::Least(Role::Operator),
     }

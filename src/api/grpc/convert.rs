@@ -13,7 +13,6 @@ use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::{Parameter, ParameterSet};
 use flip_core::domain::pile::Angle;
 use flip_core::domain::powder::{Flowability, Method};
-use flip_core::domain::spoon::Spoon;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use prost_types::Timestamp;
 
@@ -98,7 +97,7 @@ same_fields! {
         unit: p.unit.to_owned(),
         meaning: p.meaning.to_owned(),
     }
-    s: app::CalibratedSet => CalibratedSet { id powder calibration repose_deg repose_sd_deg runs error_deg } {
+    s: app::CalibratedSet => CalibratedSet { id powder calibration repose_deg repose_sd_deg runs error_deg simulator } {
         parameters: Some(s.parameters.into()),
         created_at: at(s.created_at),
     }
@@ -159,7 +158,7 @@ same_fields! {
         parameters: all(c.parameters),
     }
     s: app::ParameterSpread => ParameterSpread { key mean lower upper } {}
-    t: app::Trial => Trial { index seed tip_deg cone_deg creep_deg_per_s refusal error_deg seconds } {
+    t: app::Trial => Trial { index candidate seed readings tip_deg tip_sd_deg cone_deg creep_deg_per_s refusal error_deg seconds } {
         phase: proto::TrialPhase::from(t.phase).into(),
         parameters: Some(t.parameters.into()),
     }
@@ -177,7 +176,7 @@ same_fields! {
         levels_json: r.levels.iter().map(ToString::to_string).collect(),
     }
     e: app::Episode => Episode {
-        index level powder target_mg final_error_mg reward steps alpha critic_loss actor_loss
+        index level powder parameter_set target_mg dispensed_mg final_error_mg reward steps alpha critic_loss actor_loss
     } {}
     p: app::Policy => Policy { id kind training sha256 size_bytes } {
         label: None,
@@ -236,6 +235,7 @@ same_fields! {
         dispensed_mg reading_mg error_mg shakes seconds error
     } {
         label: None,
+        bench: w.bench.map(bench_kind),
         under: w.under.map(Into::into),
         asked: (!w.asked.is_nothing()).then(|| w.asked.into()),
         measured: w.measured.map(Into::into),
@@ -478,17 +478,6 @@ pub fn given<T>(items: Vec<T>) -> Option<Vec<T>> {
 /// Conditions as received, numbers as text.
 pub fn conditions(typed: std::collections::HashMap<String, String>) -> Conditions {
     typed.into_iter().map(|(name, value)| (name, Condition::typed(&value))).collect()
-}
-
-/// A spoon as measured.
-pub fn spoon(measured: Option<proto::Spoon>) -> Option<Spoon> {
-    measured.map(|proto::Spoon { capacity_mg, length_mm, width_mm, depth_mm }| Spoon {
-        capacity_mg,
-        length_mm,
-        width_mm,
-        depth_mm,
-        ..Spoon::default()
-    })
 }
 
 pub(super) fn at(time: app::Timestamp) -> Option<Timestamp> {

@@ -1,9 +1,10 @@
 //! `flip.v1.Evaluations`.
 
-use super::convert::{all, conditions, given, page, spoon};
+use super::convert::{all, conditions, given, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::EvaluationRequest;
+use flip_core::domain::spoon;
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -49,4 +50,15 @@ impl evaluations_server::Evaluations for Service {
         let found = self.app.evaluation(&read(request)?.id).await?;
         Ok(Response::new(self.app.labelled(found).await?.into()))
     }
+}
+
+/// A spoon as measured.
+pub(super) fn spoon(measured: Option<Spoon>) -> Option<spoon::Spoon> {
+    measured.map(|Spoon { capacity_mg, length_mm, width_mm, depth_mm }| spoon::Spoon {
+        capacity_mg,
+        length_mm,
+        width_mm,
+        depth_mm,
+        ..spoon::Spoon::default()
+    })
 }

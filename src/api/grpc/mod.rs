@@ -20,6 +20,7 @@ mod simulators;
 pub mod status;
 mod tokens;
 mod trainings;
+mod webhooks;
 mod weighings;
 
 use super::auth;
@@ -49,6 +50,7 @@ use proto::shakes_server::ShakesServer;
 use proto::simulators_server::SimulatorsServer;
 use proto::tokens_server::TokensServer;
 use proto::trainings_server::TrainingsServer;
+use proto::webhooks_server::WebhooksServer;
 use proto::weighings_server::WeighingsServer;
 use tokio_util::sync::CancellationToken;
 use tonic::service::Routes;
@@ -60,7 +62,8 @@ pub mod proto {
     tonic::include_proto!("flip.v1");
 }
 
-const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
+/// The descriptors of `flip.v1` and what it imports, as protoc writes them.
+pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/flip.v1.bin"));
 
 /// An encoded message without fields: not compressed, zero bytes.
 const EMPTY_MESSAGE: &[u8] = &[0; 5];
@@ -106,6 +109,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(JobsServer))
         .add_service(limited!(LabelsServer))
         .add_service(limited!(TokensServer))
+        .add_service(limited!(WebhooksServer))
         .into_axum_router()
         .reset_fallback()
 }
@@ -156,7 +160,7 @@ fn write<T>(request: Request<T>) -> Result<T, Status> {
     Ok(request.into_inner())
 }
 
-/// The message, if the caller may create and revoke tokens.
+/// The message, if the caller is an admin.
 fn govern<T>(request: Request<T>) -> Result<T, Status> {
     auth::require(request.extensions(), Role::Admin)?;
     Ok(request.into_inner())

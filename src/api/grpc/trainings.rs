@@ -1,6 +1,7 @@
 //! `flip.v1.Trainings`.
 
-use super::convert::{all, conditions, given, named, page, spoon};
+use super::convert::{all, conditions, given, named, page};
+use super::evaluations::spoon;
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::TrainingRequest;

@@ -107,11 +107,16 @@ impl weighings_server::Weighings for Service {
         Ok(Response::new(Certificate { html }))
     }
 
+    async fn get_asm(&self, request: Request<GetAsmRequest>) -> Result<Response<Asm>, Status> {
+        let json = self.app.asm(&read(request)?.id).await?.to_string();
+        Ok(Response::new(Asm { json }))
+    }
+
     async fn stop_weighing(
         &self,
         request: Request<StopWeighingRequest>,
     ) -> Result<Response<Weighing>, Status> {
-        Ok(Response::new(self.app.stop_weighing(&write(request)?.id).await?.into()))
+        Ok(Response::new(self.app.stop_weighing(&write(request)?.id).await?.0.into()))
     }
 
     async fn vial_ready(

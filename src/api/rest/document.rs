@@ -1,10 +1,11 @@
 //! The parts of the OpenAPI document not stated by the routes themselves.
 
 use super::extract::{BODY_BYTES_MAX, LARGE_BYTES_MAX};
+use super::tables;
 use crate::api::problem::{CONTENT_TYPE, Problem};
 use crate::api::wire::{Labelled, Powder};
-use utoipa::openapi::path::{Operation, PathItem};
-use utoipa::openapi::schema::{ArrayBuilder, Schema};
+use utoipa::openapi::path::{Operation, ParameterBuilder, ParameterIn, PathItem};
+use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, Type};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{ContentBuilder, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
@@ -36,6 +37,7 @@ const TOKEN: &str = "token";
         (name = "films", description = "What the grains of a weighing or a heap did, made again by the simulator"),
         (name = "events", description = "All events, live"),
         (name = "tokens", description = "Keys for programs and people"),
+        (name = "webhooks", description = "Addresses that are told when something has ended"),
     ),
     modifiers(&Token),
 )]
@@ -104,7 +106,30 @@ pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi 
         }
     }
     name_items(&mut document);
+    offer_tables(&mut document);
     document
+}
+
+/// Says of each list that it can be a table.
+fn offer_tables(document: &mut OpenApi) {
+    let Ok(written) = serde_json::to_value(&*document) else { return };
+    for (path, item) in &mut document.paths.paths {
+        if let (Some(operation), true) = (&mut item.get, tables::is_list(&written, path)) {
+            let format = ParameterBuilder::new()
+                .name("format")
+                .parameter_in(ParameterIn::Query)
+                .description(Some(
+                    "`csv` or `arrow`: all pages as one table, or the page that `limit` and `after` name; default `json`. \
+                     Also by `Accept: text/csv` or `application/vnd.apache.arrow.file`.",
+                ))
+                .schema(Some(
+                    ObjectBuilder::new()
+                        .schema_type(Type::String)
+                        .enum_values(Some(["json", "csv", "arrow"])),
+                ));
+            operation.parameters.get_or_insert_default().push(format.build().into());
+        }
+    }
 }
 
 /// Makes a page's schema refer to the schema of its items, where utoipa would inline it.

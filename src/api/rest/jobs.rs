@@ -5,10 +5,11 @@ use super::answer;
 use super::extract::{Path, Query};
 use super::list::{LabelledParams, respond};
 use super::started;
+use super::wait::{WaitParams, waited};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{ArchivedItems, Job, JobKind, JobState, JobTimes, Labelled, Page, Request};
-use crate::app::App;
+use crate::app::{App, Topic};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -66,14 +67,22 @@ pub async fn list_job_times(
 }
 
 /// One job.
-#[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path, description = "Job id")),
+#[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path, description = "Job id"), WaitParams),
     responses((status = 200, description = "The job", body = Labelled<Job>)))]
 pub async fn get_job(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<Labelled<Job>>, Problem> {
-    Ok(answer(app.labelled(app.job(&id).await?).await?))
+    Query(params): Query<WaitParams>,
+) -> Result<Response, Problem> {
+    let patience = params.checked()?;
+    let found = app.job(&id).await?;
+    let ended = found.state.is_terminal();
+    let now = app.labelled(found).await?;
+    Ok(waited(now, patience.filter(|_| !ended), async move |patience| {
+        app.wait_for(Topic::Job(id.clone()), patience).await?;
+        app.labelled(app.job(&id).await?).await
+    }))
 }
 
 /// Cancel a job.

@@ -23,9 +23,14 @@ mod powders;
 mod repose;
 mod shakes;
 mod simulators;
+mod tables;
 mod tokens;
 mod trainings;
+mod wait;
+mod webhooks;
 mod weighings;
+
+pub(super) use weighings::trace_csv;
 
 use super::problem::Problem;
 use super::wire::Answer;
@@ -34,6 +39,7 @@ use crate::app::App;
 use axum::body::Body;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{StatusCode, header};
+use axum::middleware::from_fn;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
@@ -104,6 +110,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(weighings::vial_ready))
         .routes(routes!(weighings::stop_weighing))
         .routes(routes!(weighings::get_certificate))
+        .routes(routes!(weighings::get_asm))
         .routes(routes!(bench::get_bench))
         .routes(routes!(bench::stop_bench))
         .routes(routes!(bench::resume_bench))
@@ -126,6 +133,8 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(events::watch_all))
         .routes(routes!(events::watch_job))
         .routes(routes!(events::watch_weighing))
+        .routes(routes!(webhooks::list_webhooks, webhooks::add_webhook))
+        .routes(routes!(webhooks::remove_webhook))
         .routes(routes!(tokens::list_tokens, tokens::create_token))
         .routes(routes!(tokens::revoke_token))
         .routes(routes!(tokens::get_identity))
@@ -159,9 +168,8 @@ fn large_routes() -> OpenApiRouter<App> {
 /// The OpenAPI document of everything below `/v1`.
 pub fn openapi() -> OpenApi {
     let large = large_routes().into_openapi();
-    document::complete(routes().merge(large_routes()).into_openapi(), |path| {
-        large.paths.paths.contains_key(path)
-    })
+    let bare = routes().merge(large_routes()).into_openapi();
+    document::complete(bare, |path| large.paths.paths.contains_key(path))
 }
 
 /// The routes, with `/openapi.json`.
@@ -171,6 +179,7 @@ pub fn router(app: App) -> Router {
     Router::from(routes())
         .layer(DefaultBodyLimit::max(extract::BODY_BYTES_MAX))
         .merge(Router::from(large_routes()))
+        .route_layer(from_fn(tables::as_table))
         .with_state(app)
         .route("/openapi.json", get(describe))
         .method_not_allowed_fallback(async || Problem::method_not_allowed())

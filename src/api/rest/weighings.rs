@@ -4,13 +4,14 @@ use super::accepted;
 use super::answer;
 use super::extract::{Input, Path, Query};
 use super::list::{LabelledParams, to_next};
+use super::wait::{WaitParams, waited};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{
     self, Answer, DoseList, DoseListRequest, Labelled, Request, Tick, VialReadyRequest, Weighing,
     WeighingDetail, WeighingRequest, WeighingsFound,
 };
-use crate::app::{self, App, WeighingsAsked, WeighingsWanted, document};
+use crate::app::{self, App, Topic, WeighingsAsked, WeighingsWanted, document};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -201,14 +202,22 @@ pub async fn get_list_certificate(
 
 /// One weighing, with its ticks so far.
 #[utoipa::path(get, path = "/v1/weighings/{id}", tag = "weighings",
-    params(("id" = String, Path, description = "Weighing id")),
+    params(("id" = String, Path, description = "Weighing id"), WaitParams),
     responses((status = 200, description = "The weighing", body = Labelled<WeighingDetail>)))]
 pub async fn get_weighing(
     _: Viewer,
     State(app): State<App>,
     Path(id): Path<String>,
-) -> Result<Json<Labelled<WeighingDetail>>, Problem> {
-    Ok(answer(app.labelled(app.weighing(&id).await?).await?))
+    Query(params): Query<WaitParams>,
+) -> Result<Response, Problem> {
+    let patience = params.checked()?;
+    let found = app.weighing(&id).await?;
+    let ended = found.weighing.outcome.is_some();
+    let now = app.labelled(found).await?;
+    Ok(waited(now, patience.filter(|_| !ended), async move |patience| {
+        app.wait_for(Topic::Weighing(id.clone()), patience).await?;
+        app.labelled(app.weighing(&id).await?).await
+    }))
 }
 
 /// The ticks of a weighing: the actions of the bench and the balance readings.
@@ -239,11 +248,11 @@ pub async fn download_trace(
         (header::CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
         (header::CONTENT_DISPOSITION, format!("attachment; filename=\"weighing-{id}.csv\"")),
     ];
-    Ok((headers, csv(&ticks)).into_response())
+    Ok((headers, trace_csv(&ticks)).into_response())
 }
 
 /// Numbers as in JSON, so that both forms of a trace have the same digits.
-fn csv(ticks: &[bench::Tick]) -> String {
+pub(in crate::api) fn trace_csv(ticks: &[bench::Tick]) -> String {
     let mut text = String::from(
         "step,t_s,pitch_deg,incline_change_deg,shake_mm,mass_mg,stable,strokes,spoonful\n",
     );
@@ -275,6 +284,22 @@ pub async fn get_certificate(
     Ok(([(header::CONTENT_SECURITY_POLICY, document::POLICY)], Html(page)).into_response())
 }
 
+/// A weighing that has ended, in the Allotrope Simple Model of balances.
+///
+/// After the manifest balance, REC/2025/03: the masses, the readings over time as a data cube, the
+/// devices, powder, lot and vial; FLIP's own outcome as custom information.
+#[utoipa::path(get, path = "/v1/weighings/{id}/asm.json", tag = "weighings",
+    params(("id" = String, Path, description = "Weighing id")),
+    responses((status = 200, description = "The document", body = serde_json::Value),
+        (status = 409, description = "It has not ended, or it probed a powder", body = Problem, content_type = "application/problem+json")))]
+pub async fn get_asm(
+    _: Viewer,
+    State(app): State<App>,
+    Path(id): Path<String>,
+) -> Result<Json<serde_json::Value>, Problem> {
+    Ok(Json(app.asm(&id).await?))
+}
+
 /// Confirm that the vial of a weighing is in, and empty.
 ///
 /// Where the bench cannot exchange vials, the weighing whose turn it is waits for this in the state
@@ -298,19 +323,22 @@ pub async fn vial_ready(
 /// Stop a weighing and level the spoon.
 ///
 /// A waiting weighing is stopped at once. For a running one the arm is stopped at once, before
-/// anything is recorded, and the bench is held until a person resumes. Not an emergency stop: that
-/// one is wired.
+/// anything is recorded, and the bench is held until a person resumes. One that has ended stays as
+/// it is. Not an emergency stop: that one is wired.
 #[utoipa::path(post, path = "/v1/weighings/{id}/stop", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
-    responses((status = 202, description = "The weighing, stopping or stopped", body = Weighing),
-        (status = 409, description = "It has ended", body = Problem, content_type = "application/problem+json")))]
+    responses((status = 200, description = "The weighing, which had ended before", body = Weighing),
+        (status = 202, description = "The weighing, stopping or stopped", body = Weighing)))]
 pub async fn stop_weighing(
     _: Operator,
     State(app): State<App>,
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
-    let weighing = app.stop_weighing(&id).await?;
-    Ok(accepted(format!("/v1/weighings/{}", weighing.id), weighing))
+    let (weighing, stopped) = app.stop_weighing(&id).await?;
+    match stopped {
+        true => Ok(accepted(format!("/v1/weighings/{}", weighing.id), weighing)),
+        false => Ok(answer(weighing).into_response()),
+    }
 }
 
 #[cfg(test)]
@@ -329,6 +357,6 @@ mod tests {
             reading: Reading { mass_mg: 4.0, stable: true },
             spoonful: 2,
         };
-        assert_eq!(csv(&[tick]).lines().nth(1), Some("1,0.3,20.5,-0.1,8,4,true,1,2"));
+        assert_eq!(trace_csv(&[tick]).lines().nth(1), Some("1,0.3,20.5,-0.1,8,4,true,1,2"));
     }
 }

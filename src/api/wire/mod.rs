@@ -84,6 +84,7 @@ mod simulator;
 mod token;
 mod training;
 mod vial;
+mod webhook;
 mod weighing;
 
 pub use audit::*;
@@ -105,6 +106,7 @@ pub use simulator::*;
 pub use token::*;
 pub use training::*;
 pub use vial::*;
+pub use webhook::*;
 pub use weighing::*;
 
 use crate::app;
