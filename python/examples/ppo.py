@@ -13,6 +13,8 @@ from gymnasium.vector import AutoresetMode
 from torch import nn
 from torch.distributions import Normal
 
+import flip_powder.env  # noqa: F401
+
 STEPS = int(sys.argv[1]) if len(sys.argv) > 1 else 400_000
 DOSES, ROLLOUT, EPOCHS, BATCH = 256, 20, 4, 1024
 GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.9, 0.95, 0.2, 0.001, 1e-3

@@ -37,10 +37,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from . import _native
-from ._gym import ENV_ID, register
-from .sim import EXTENSIONS, ParameterSet, calibrate
+from .sim import ParameterSet, calibrate, checked_extensions
 
-__all__ = ["ENV_ID", "FlipWeighEnv", "FlipWeighVectorEnv", "Level", "levels_at", "levels_of", "policy_file", "register"]
+__all__ = ["ENV_ID", "FlipWeighEnv", "FlipWeighVectorEnv", "Level", "levels_at", "levels_of", "policy_file"]
+
+#: The name under which both environments are registered, once this module is imported.
+ENV_ID = "FlipWeigh-v0"
 
 Preset = Literal["flip", "paper"]
 Order = Literal["curriculum", "reverse", "random", "domain-randomisation"]
@@ -103,10 +105,7 @@ def _settings(
     settings: Mapping[str, Any] | None,
 ) -> str:
     """Changes of the preset's settings as JSON, under the names of the Rust code."""
-    for name in extensions or {}:
-        if name not in EXTENSIONS:
-            raise ValueError(f"extensions: there is no `{name}`; there are {', '.join(EXTENSIONS)}")
-    spoon = {"particles": particles, "extensions": dict(extensions) if extensions else None}
+    spoon = {"particles": particles, "extensions": checked_extensions(extensions or {})}
     changes: dict[str, Any] = {
         "encoding": encoding,
         "target_mg_min": target_mg[0] if target_mg else None,
@@ -131,6 +130,27 @@ def _merged(data: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     return data
 
 
+_Arrays = tuple[
+    NDArray[np.float32],
+    NDArray[np.float64],
+    NDArray[np.bool_],
+    NDArray[np.bool_],
+    NDArray[np.float64],
+    NDArray[np.float32],
+    NDArray[np.float64],
+]
+_MASKS = tuple((name, f"_{name}") for name in _native.FACTS)
+
+
+def _infos(facts: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Facts as Gymnasium's vector environments have them: an array and a mask for each."""
+    infos: dict[str, Any] = {}
+    for (name, masked), column in zip(_MASKS, facts.T, strict=True):
+        infos[name] = column
+        infos[masked] = mask
+    return infos
+
+
 class _Doses:
     """Doses in lockstep with the arrays that they are told in."""
 
@@ -152,21 +172,21 @@ class _Doses:
         self.native = _native.Lockstep(count, pouring, autoreset, preset, order, text, settings)
         if level is not None:
             self.native.set_level(level)
-        width = self.native.width
-        facts = len(_native.FACTS)
-        self.inputs = np.zeros((count, width), np.float32)
-        self.rewards = np.zeros(count, np.float64)
-        self.terminated = np.zeros(count, np.bool_)
-        self.truncated = np.zeros(count, np.bool_)
-        self.facts = np.zeros((count, facts), np.float64)
-        self.last_inputs = np.zeros((count, width), np.float32)
-        self.last_facts = np.zeros((count, facts), np.float64)
-        self.arrays = (
-            self.inputs,
-            self.rewards,
-            self.terminated,
-            self.truncated,
-            self.facts,
+        self.count, self.width = count, self.native.width
+        self.last_inputs = np.zeros((count, self.width), np.float32)
+        self.last_facts = np.zeros((count, len(_native.FACTS)), np.float64)
+        self.arrays = self.fresh()
+
+    def fresh(self) -> _Arrays:
+        """Arrays for the results of a step: observations, rewards, terminated, truncated, facts, and the last
+        observations and facts of episodes that ended, which are the same ones each time."""
+        count = self.count
+        return (
+            np.empty((count, self.width), np.float32),
+            np.empty(count, np.float64),
+            np.empty(count, np.bool_),
+            np.empty(count, np.bool_),
+            np.empty((count, len(_native.FACTS)), np.float64),
             self.last_inputs,
             self.last_facts,
         )
@@ -265,7 +285,7 @@ class FlipWeighEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._seeded = True
         self._doses.choose(options)
         self._doses.native.reset(None, [seed], self._doses.arrays)
-        return self._doses.inputs[0].copy(), self._info()
+        return self._doses.arrays[0][0].copy(), self._info()
 
     def step(
         self, action: NDArray[np.float32]
@@ -273,11 +293,12 @@ class FlipWeighEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Carries out one action."""
         doses = self._doses
         doses.native.step(np.ascontiguousarray(action, np.float32).reshape(1, 2), doses.arrays)
-        ends = bool(doses.terminated[0]), bool(doses.truncated[0])
-        return doses.inputs[0].copy(), float(doses.rewards[0]), *ends, self._info()
+        observations, rewards, terminated, truncated, *_ = doses.arrays
+        ends = bool(terminated[0]), bool(truncated[0])
+        return observations[0].copy(), float(rewards[0]), *ends, self._info()
 
     def _info(self) -> dict[str, Any]:
-        return dict(zip(_native.FACTS, self._doses.facts[0].tolist(), strict=True))
+        return dict(zip(_native.FACTS, self._doses.arrays[4][0].tolist(), strict=True))
 
 
 class FlipWeighVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -370,36 +391,24 @@ class FlipWeighVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         if mask is not None and (not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or not mask.any()):
             raise ValueError("options: reset_mask must be a boolean array in which something is true")
         self._doses.choose(given)
-        self._doses.native.reset(mask, seeds, self._doses.arrays)
-        return self._own(self._doses.inputs), self._infos(self._doses.facts, self._all if mask is None else mask)
+        arrays = self._doses.fresh() if self.copy else self._doses.arrays
+        self._doses.native.reset(mask, seeds, arrays)
+        return arrays[0], _infos(arrays[4], self._all if mask is None else mask)
 
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Carries out one action of each dose, `[num_envs, 2]`."""
         doses = self._doses
-        doses.native.step(np.ascontiguousarray(actions, np.float32), doses.arrays)
-        infos = self._infos(doses.facts, self._all)
+        arrays = doses.fresh() if self.copy else doses.arrays
+        doses.native.step(np.ascontiguousarray(actions, np.float32), arrays)
+        observations, rewards, terminated, truncated, facts, _, _ = arrays
+        infos = _infos(facts, self._all)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            ended = doses.terminated | doses.truncated
+            ended = terminated | truncated
             if ended.any():
                 infos |= self._final(ended)
-        return (
-            self._own(doses.inputs),
-            self._own(doses.rewards),
-            self._own(doses.terminated),
-            self._own(doses.truncated),
-            infos,
-        )
-
-    def _own(self, array: NDArray[Any]) -> NDArray[Any]:
-        return array.copy() if self.copy else array
-
-    def _infos(self, facts: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
-        infos: dict[str, Any] = {}
-        for name, column in zip(_native.FACTS, self._own(facts).T, strict=True):
-            infos[name], infos[f"_{name}"] = column, mask
-        return infos
+        return observations, rewards, terminated, truncated, infos
 
     def _final(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         """What a `SameStep` tells of the episodes that ended."""
@@ -409,7 +418,7 @@ class FlipWeighVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return {
             "final_obs": observations,
             "_final_obs": ended,
-            "final_info": self._infos(self._doses.last_facts, ended),
+            "final_info": _infos(self._doses.last_facts.copy(), ended),
             "_final_info": ended,
         }
 
@@ -441,4 +450,9 @@ def policy_file(
     return _native.policy_file(native.settings, widths, np.concatenate(blocks).tolist(), episodes)
 
 
-register()
+if ENV_ID not in gymnasium.registry:
+    gymnasium.register(
+        ENV_ID,
+        entry_point="flip_powder.env:FlipWeighEnv",
+        vector_entry_point="flip_powder.env:FlipWeighVectorEnv",
+    )

@@ -14,6 +14,7 @@ Example:
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -144,10 +145,32 @@ def _values(given: Set) -> tuple[float, ...]:
 def _settings(extensions: Mapping[str, float] | None, settings: Mapping[str, Any] | None, **more: Any) -> str:
     """Settings as JSON, under the names that `docs/reference/settings.md` lists."""
     merged = {name: it for name, it in more.items() if it is not None} | dict(settings or {})
-    for name in extensions or {}:
+    return json.dumps(merged | ({"extensions": checked_extensions(extensions)} if extensions else {}))
+
+
+def checked_extensions(extensions: Mapping[str, float]) -> dict[str, float]:
+    """The amplitudes, each within its bounds.
+
+    Raises:
+        ValueError: an unknown mechanism, or an amplitude out of its bounds; the message names it.
+    """
+    for name, amplitude in extensions.items():
         if name not in EXTENSIONS:
             raise ValueError(f"extensions: there is no `{name}`; there are {', '.join(EXTENSIONS)}")
-    return json.dumps(merged | ({"extensions": dict(extensions)} if extensions else {}))
+        if not 0.0 <= amplitude <= EXTENSIONS[name]:
+            raise ValueError(f"extensions.{name}: must be between 0 and {EXTENSIONS[name]:g}, got {amplitude}")
+    return {name: float(amplitude) for name, amplitude in extensions.items()}
+
+
+def _checked_action(incline_change_deg: float, shake_mm: float, strokes: float) -> tuple[float, float, int]:
+    """An action that the spoon can carry out."""
+    if not math.isfinite(incline_change_deg):
+        raise ValueError(f"incline_change_deg: must be a number, got {incline_change_deg}")
+    if not 0.0 <= shake_mm <= 16.0:
+        raise ValueError(f"shake_mm: must be between 0 and 16 mm, got {shake_mm}")
+    if not 1 <= strokes <= 8:
+        raise ValueError(f"strokes: must be from 1 to 8, got {strokes}")
+    return float(incline_change_deg), float(shake_mm), int(strokes)
 
 
 class Heap:
@@ -300,16 +323,19 @@ class Spoon:
 
         Args:
             incline_change_deg: change of the pitch, degrees; positive is tip down. The pitch stays within its range.
-            shake_mm: amplitude of a shake along the spoon, mm; below 0.9 there is none.
-            strokes: how often to shake.
+            shake_mm: amplitude of a shake along the spoon, 0 to 16 mm; below 0.9 there is none.
+            strokes: how often to shake, 1 to 8.
+
+        Raises:
+            ValueError: a number out of its bounds; the message names it.
         """
-        return Poured(*self._spoon.step(incline_change_deg, shake_mm, strokes))
+        return Poured(*self._spoon.step(*_checked_action(incline_change_deg, shake_mm, strokes)))
 
     def film(
         self, incline_change_deg: float, shake_mm: float, strokes: int = 1, *, every_s: float = 0.01
     ) -> tuple[Poured, list[Snapshot]]:
         """:meth:`step`, with a snapshot of the grains in the spoon every `every_s` of simulated time."""
-        poured, frames = self._spoon.film(incline_change_deg, shake_mm, strokes, every_s)
+        poured, frames = self._spoon.film(*_checked_action(incline_change_deg, shake_mm, strokes), every_s)
         return Poured(*poured), frames
 
     @property
@@ -361,7 +387,7 @@ def step_all(spoons: Sequence[Spoon], actions: Sequence[Sequence[float]]) -> lis
         spoons: different spoons.
         actions: for each the change of its pitch, degrees, the amplitude, mm, and, if it is not 1, the strokes.
     """
-    rows = [(float(it[0]), float(it[1]), int(it[2]) if len(it) > 2 else 1) for it in actions]
+    rows = [_checked_action(it[0], it[1], it[2] if len(it) > 2 else 1) for it in actions]
     return [Poured(*row) for row in _native.step_all([spoon._spoon for spoon in spoons], rows)]
 
 

@@ -202,7 +202,6 @@ class Simulator(unittest.TestCase):
 class Environment(unittest.TestCase):
     def test_gymnasium_finds_nothing_wrong_and_lockstep_is_the_same_as_alone(self):
         found = service.drive(plain(), "with_python_env.py")
-        self.assertTrue(found["registered_without_import"])
         self.assertTrue(found["check_env"])
         self.assertEqual(found["vector"], "FlipWeighVectorEnv")
         self.assertEqual(found["lockstep"], [True, True])

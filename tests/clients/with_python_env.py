@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from flip_powder.env import FlipWeighEnv, Level
 from flip_powder.sim import ParameterSet
 
-found: dict[str, object] = {"gymnasium": gym.__version__, "registered_without_import": "FlipWeigh-v0" in gym.registry}
+found: dict[str, object] = {"gymnasium": gym.__version__}
 with warnings.catch_warnings():
     warnings.simplefilter("error")
     for options in ({}, {"preset": "paper"}, {"encoding": "fall_and_repose"}, {"pouring": "simulator", "particles": 600}):

@@ -162,7 +162,7 @@ impl Lockstep {
         settings: &Settings,
     ) -> Result<Self, FieldError> {
         bounded("num_envs", count.into(), 1.0, 1e6, "")?;
-        let settings = settings.clone().checked()?;
+        let settings = checked(settings)?;
         let levels = ordered(levels, &settings)?;
         let seed = derive(settings.seed, &[stream::SPOONS]);
         let spoons =
@@ -229,8 +229,8 @@ impl Lockstep {
         Ok(())
     }
 
-    /// Begins the next episode of the doses named by `which`, all if it is absent. A dose with a new
-    /// seed begins with the first episode of that seed.
+    /// Begins the next episode of the doses named by `which`, all if it is absent, and shows all. A
+    /// dose with a new seed begins with the first episode of that seed.
     ///
     /// # Panics
     /// `which`, `seeds` or `rows` are not as many as the doses.
@@ -245,8 +245,8 @@ impl Lockstep {
         let begin = |k: usize, dose: &mut Dose, row: &mut Rows<'_>| {
             if which.is_none_or(|which| which[k]) {
                 dose.begin(rules);
-                dose.show(rules, row, Told::default());
             }
+            dose.show(rules, row, Told::default());
         };
         each(&mut self.doses, 0, rows, self.grain, &begin);
     }
@@ -310,6 +310,21 @@ impl Lockstep {
         }
         bounds
     }
+}
+
+/// Validates settings whose spoon and balance nobody else has validated.
+fn checked(settings: &Settings) -> Result<Settings, FieldError> {
+    let Settings { balance, spoon, .. } = settings;
+    bounded("balance.readability_mg", balance.readability_mg, 1e-3, 100.0, "mg")?;
+    bounded("balance.noise_mg", balance.noise_mg, 0.0, 100.0, "mg")?;
+    bounded("balance.settling_tau_s", balance.settling_tau_s, 1e-3, 100.0, "s")?;
+    bounded("balance.wait_s", balance.wait_s, 0.0, 100.0, "s")?;
+    bounded("spoon.particles", spoon.particles.into(), 100.0, 100_000.0, "")?;
+    let mut extensions = spoon.extensions;
+    for (name, amplitude, upper) in extensions.amplitudes() {
+        bounded(&format!("spoon.extensions.{name}"), *amplitude, 0.0, upper, "")?;
+    }
+    settings.clone().checked()
 }
 
 /// Lowest and highest possible reading, mg: everything in the spoon, and the balance's noise, whose
