@@ -82,7 +82,7 @@ const EXCEPTIONS: [(&str, &[&str]); 2] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 34] = [
+const CONFINED: [(&str, &[&str]); 36] = [
     ("sqlx::", &["store"]),
     ("axum::", &["api"]),
     ("utoipa::", &["api"]),
@@ -108,7 +108,7 @@ const CONFINED: [(&str, &[&str]); 34] = [
     ("jsonwebtoken::", &["app"]),
     ("ureq::", &["app"]),
     ("maud::", &["app"]),
-    ("rayon::", &["calibrate", "judge", "investigate", "traces", "train", "jobs", "cli"]),
+    ("rayon::", &["calibrate", "judge", "investigate", "traces", "train", "jobs", "cli", "python"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
     ("rustix::", &["api", "cli", "emulate", "hardware", "jobs", "store"]),
@@ -118,7 +118,12 @@ const CONFINED: [(&str, &[&str]); 34] = [
     ("async fn", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
     ("std::fs", &["store", "api", "cli", "emulate"]),
     ("std::net", &["api", "cli", "hardware", "emulate"]),
-    ("Instant", &["hardware", "emulate", "rig", "jobs", "store", "app", "api", "cli", "train"]),
+    (
+        "Instant",
+        &["hardware", "emulate", "rig", "jobs", "store", "app", "api", "cli", "train", "python"],
+    ),
+    ("pyo3::", &["python"]),
+    ("numpy::", &["python"]),
 ];
 
 /// What the bodies of jobs consist of: they run wherever somebody implements `JobHost`.

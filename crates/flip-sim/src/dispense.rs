@@ -9,7 +9,7 @@ use super::film::Recorder;
 use super::grains::{Departure, Grains};
 use super::law::{Law, SUBSTEP_S};
 use super::mechanisms::{Extensions, Site};
-use super::snapshot::Camera;
+use super::snapshot::{Camera, Snapshot};
 use super::walls::{Bowl, Shape};
 use flip_core::domain::bench::{Action, PitchLimits};
 use flip_core::domain::bench_check::ShakeCalibration;
@@ -215,9 +215,15 @@ impl Dispenser {
         self
     }
 
-    /// Lets a camera watch the grains in the spoon from now on, in the spoon's frame.
-    pub fn watch(&mut self, camera: Camera) {
-        self.camera = Some(camera);
+    /// Lets a camera watch the grains in the spoon from now on, in the spoon's frame; none ends that.
+    pub fn watch(&mut self, camera: impl Into<Option<Camera>>) {
+        self.camera = camera.into();
+    }
+
+    /// The grains in the spoon as they are now, in the spoon's frame.
+    pub fn snapshot(&self) -> Snapshot {
+        let time_s = f64::from(self.substeps) * self.law.substep_s;
+        Snapshot::of(self.grains.ids(), self.grains.centres(), self.law.diameter_m, time_s)
     }
 
     /// Records the grains from now on.

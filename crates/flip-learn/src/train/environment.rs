@@ -22,6 +22,16 @@ pub trait Filling: Sync {
     }
 }
 
+impl<F: Filling> Filling for &F {
+    type Spoon = F::Spoon;
+    fn fill(&self, set: &ParameterSet, seed: u64) -> F::Spoon {
+        (*self).fill(set, seed)
+    }
+    fn fill_under(&self, set: &ParameterSet, patch: &Patch, seed: u64) -> F::Spoon {
+        (*self).fill_under(set, patch, seed)
+    }
+}
+
 /// A filled spoon over a vial.
 pub trait Spoon: Clone + Send + Sync {
     /// Carries out one action and waits until the powder rests.
@@ -81,6 +91,21 @@ pub fn reward(target_mg: f64, true_mg: f64) -> f64 {
     if d > -ON_TARGET_MG { d + 1.0 } else { d }
 }
 
+/// The unscaled reward of one step for the learner: the published reward, with a factor for an
+/// irreversible overdose, and paid for ever if the episode ends.
+///
+/// ```text
+/// r' = f D  if true - target > 1 mg, else r          f = overdose factor
+/// r' / (1 - gamma)  if the step terminates and endings are absorbing
+/// ```
+pub fn training_reward(settings: &Settings, target_mg: f64, true_mg: f64, terminated: bool) -> f64 {
+    let mut r = reward(target_mg, true_mg);
+    if true_mg - target_mg > ON_TARGET_MG {
+        r *= settings.overdose_factor;
+    }
+    if terminated && settings.absorbing_ending { r / (1.0 - settings.gamma) } else { r }
+}
+
 /// One step as stored: nothing in it depends on the target, so it can be evaluated for any target
 /// afterwards.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -122,6 +147,93 @@ pub struct Played {
 /// Seed indices of the random events within one episode.
 const BALANCE: u64 = 1;
 
+/// An episode in the middle of being played, one step at a time. [`play`] plays one to its end.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Playing {
+    rules: Rules,
+    balance: balance::Settings,
+    /// Seed of the balance's noise.
+    noise: u64,
+    tare_mg: f64,
+    true_mg: f64,
+    seen: Observation,
+    fell_mg: f64,
+    steps: u32,
+}
+
+impl Playing {
+    /// Tares the vial below this spoon and reads the balance.
+    pub fn begin(
+        spoon: &impl Spoon,
+        rules: &Rules,
+        balance: &balance::Settings,
+        target_mg: f64,
+        seed: u64,
+    ) -> Self {
+        let noise = derive(seed, &[BALANCE]);
+        let reading_mg = balance.read(0.0, 0.0, noise, 0).mass_mg;
+        Self {
+            rules: *rules,
+            balance: *balance,
+            noise,
+            tare_mg: spoon.vial_mg(),
+            true_mg: 0.0,
+            seen: Observation { reading_mg, target_mg, pitch_deg: spoon.pitch_deg() },
+            fell_mg: reading_mg,
+            steps: 0,
+        }
+    }
+
+    /// The observation before the next step.
+    pub fn seen(&self) -> &Observation {
+        &self.seen
+    }
+
+    /// Mass that fell in the last step according to the balance, mg; before the first, the reading
+    /// of the tared balance.
+    pub fn fell_mg(&self) -> f64 {
+        self.fell_mg
+    }
+
+    /// True mass in the vial, mg.
+    pub fn true_mg(&self) -> f64 {
+        self.true_mg
+    }
+
+    /// Steps so far.
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// Carries out one action of two numbers in -1..=1, on the spoon that it began with, and returns
+    /// the step and the state after it. `None` if the simulation failed: nothing has changed then, and
+    /// the episode has timed out.
+    pub fn step(&mut self, spoon: &mut impl Spoon, action: [f32; 2]) -> Option<(Step, Episode)> {
+        spoon.step(Action::from_unit(action.map(f64::from)));
+        if spoon.has_failed() {
+            return None;
+        }
+        self.steps += 1;
+        let before_mg = self.true_mg;
+        self.true_mg = spoon.vial_mg() - self.tare_mg;
+        let reading = self.balance.read(before_mg, self.true_mg, self.noise, self.steps.into());
+        let next =
+            Observation { reading_mg: reading.mass_mg, pitch_deg: spoon.pitch_deg(), ..self.seen };
+        let step = Step {
+            fell_mg: self.fell_mg as f32,
+            reading_mg: self.seen.reading_mg as f32,
+            pitch_deg: self.seen.pitch_deg as f32,
+            action,
+            next_reading_mg: next.reading_mg as f32,
+            next_pitch_deg: next.pitch_deg as f32,
+            next_true_mg: self.true_mg as f32,
+        };
+        self.fell_mg = next.reading_mg - self.seen.reading_mg;
+        self.seen = next;
+        Some((step, self.rules.after(self.steps, &next, self.balance.readability_mg)))
+    }
+}
+
 /// Plays one episode: `propose` is called before each step and returns values in -1..=1. The vial
 /// is tared first.
 ///
@@ -135,51 +247,22 @@ pub fn play(
     seed: u64,
     mut propose: impl FnMut(&Observation) -> [f32; 2],
 ) -> Played {
-    let noise = derive(seed, &[BALANCE]);
-    let read = |before_mg: f64, after_mg: f64, index: u32| {
-        balance.read(before_mg, after_mg, noise, index.into()).mass_mg
-    };
-    let tare_mg = spoon.vial_mg();
-    let mut true_mg = 0.0;
-    let mut seen =
-        Observation { reading_mg: read(0.0, 0.0, 0), target_mg, pitch_deg: spoon.pitch_deg() };
-    let (mut steps, mut sum, mut fell_mg) = (Vec::new(), 0.0, seen.reading_mg);
+    let mut playing = Playing::begin(spoon, rules, balance, target_mg, seed);
+    let (mut steps, mut sum) = (Vec::new(), 0.0);
     let ending = loop {
-        let action = propose(&seen);
-        spoon.step(Action::from_unit(action.map(f64::from)));
-        if spoon.has_failed() {
-            break Episode::TimedOut;
-        }
-        let index = steps.len() as u32 + 1;
-        let before_mg = true_mg;
-        true_mg = spoon.vial_mg() - tare_mg;
-        let next = Observation {
-            reading_mg: read(before_mg, true_mg, index),
-            target_mg,
-            pitch_deg: spoon.pitch_deg(),
-        };
-        steps.push(Step {
-            fell_mg: fell_mg as f32,
-            reading_mg: seen.reading_mg as f32,
-            pitch_deg: seen.pitch_deg as f32,
-            action,
-            next_reading_mg: next.reading_mg as f32,
-            next_pitch_deg: next.pitch_deg as f32,
-            next_true_mg: true_mg as f32,
-        });
-        sum += reward(target_mg, true_mg);
-        fell_mg = next.reading_mg - seen.reading_mg;
-        seen = next;
-        match rules.after(index, &seen, balance.readability_mg) {
-            Episode::Running => {}
-            ended => break ended,
+        let action = propose(&playing.seen);
+        let Some((step, state)) = playing.step(spoon, action) else { break Episode::TimedOut };
+        steps.push(step);
+        sum += reward(target_mg, playing.true_mg);
+        if state != Episode::Running {
+            break state;
         }
     };
     Played {
         steps,
         target_mg,
-        dispensed_mg: true_mg,
-        reading_mg: seen.reading_mg,
+        dispensed_mg: playing.true_mg,
+        reading_mg: playing.seen.reading_mg,
         reward: sum,
         ending,
     }

@@ -4,7 +4,8 @@
 //! or, for a recurrent network, whole [`episodes`], improves a policy by Soft Actor-Critic
 //! ([`sac`]) and moves from powder to powder according to a [`curriculum`]. [`evaluate`] measures
 //! any controller on doses it was not trained on; [`schedule`] tunes the open-loop rival that a
-//! policy has to beat, and [`rivals`] those of other robots.
+//! policy has to beat, and [`rivals`] those of other robots. [`lockstep`] is the environment for
+//! learners that are not ours.
 //!
 //! *Reproducible*: the same levels, settings and seed give the same bytes at any number of threads
 //! and across any interruption. Episodes are played in rounds of a fixed size, each with its own
@@ -26,8 +27,10 @@ pub mod environment;
 pub mod episodes;
 pub mod evaluate;
 pub mod formula;
+pub mod lockstep;
 #[cfg(feature = "libtorch")]
 mod networks;
+mod plan;
 mod record;
 #[cfg(feature = "libtorch")]
 mod recurrent;

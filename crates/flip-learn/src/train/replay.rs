@@ -1,10 +1,10 @@
 //! The replay memory and the batches drawn from it: steps, or whole episodes ([`super::episodes`]).
 
-use super::environment::{Step, reward};
+use super::environment::{Step, training_reward};
 use super::episodes::{self, Episode};
 use super::settings::{Network, Settings};
 use flip_core::domain::parameters::COUNT;
-use flip_policy::{Encoding, Ending, Known, ON_TARGET_MG, Observation, is_on_target, on_target_mg};
+use flip_policy::{Encoding, Ending, Known, Observation, is_on_target, on_target_mg};
 use rand::{Rng, RngExt};
 
 /// A stored step, with the target it was played for and the powder's parameters for the critic.
@@ -293,21 +293,6 @@ fn hindsight_target(memory: &Memory, settings: &Settings, rng: &mut impl Rng) ->
         }
     };
     (lower < settings.target_mg_max).then(|| rng.random_range(lower..settings.target_mg_max))
-}
-
-/// The unscaled reward of one step for the learner: the published reward, with a factor for an
-/// irreversible overdose, and paid for ever if the episode ends.
-///
-/// ```text
-/// r' = f D  if true - target > 1 mg, else r          f = overdose factor
-/// r' / (1 - gamma)  if the step terminates and endings are absorbing
-/// ```
-pub fn training_reward(settings: &Settings, target_mg: f64, true_mg: f64, terminated: bool) -> f64 {
-    let mut r = reward(target_mg, true_mg);
-    if true_mg - target_mg > ON_TARGET_MG {
-        r *= settings.overdose_factor;
-    }
-    if terminated && settings.absorbing_ending { r / (1.0 - settings.gamma) } else { r }
 }
 
 impl Batch {

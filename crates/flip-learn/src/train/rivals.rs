@@ -241,7 +241,7 @@ fn search<F: Filling>(
     let aside = |from: &Vec<f64>, rng: &mut Pcg64Mcg| -> Vec<f64> {
         from.iter().map(|u| (u + rng.random_range(-0.15..0.15)).clamp(0.0, 1.0)).collect()
     };
-    let score = |point: &Vec<f64>, spoons: &Spoons<F>, doses| {
+    let score = |point: &Vec<f64>, spoons: &Spoons<&F>, doses| {
         loss_mg(&rival.at(point).1, levels, tuning, spoons, doses)
     };
     schedule::search(filling, levels, tuning, kept, draw, aside, score)
@@ -277,7 +277,7 @@ fn loss_mg<F: Filling>(
     controller: &Controller,
     levels: &[Level],
     tuning: &Tuning,
-    spoons: &Spoons<F>,
+    spoons: &Spoons<&F>,
     doses: u32,
 ) -> f64 {
     mean_error_mg(levels, tuning.seed, spoons, doses, |spoon, seed| {

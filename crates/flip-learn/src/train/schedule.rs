@@ -104,7 +104,7 @@ pub fn tune<F: Filling>(filling: &F, levels: &[Level], tuning: &Tuning) -> Tuned
             shake_mm: (from.shake_mm + rng.random_range(-2.5..2.5)).clamp(1.0, SHAKE_MM_MAX),
         })
     };
-    let score = |[first, last]: &Ends, spoons: &Spoons<F>, doses| {
+    let score = |[first, last]: &Ends, spoons: &Spoons<&F>, doses| {
         score(&ramp(*first, *last), levels, tuning, spoons, doses)
     };
     let (best, spoons) = search(filling, levels, tuning, KEPT, draw, aside, score);
@@ -130,7 +130,7 @@ pub(super) fn search<F: Filling, C: Send + Sync>(
     kept: usize,
     draw: impl Fn(&mut Pcg64Mcg) -> C,
     aside: impl Fn(&C, &mut Pcg64Mcg) -> C,
-    score: impl Fn(&C, &Spoons<F>, u32) -> f64 + Sync,
+    score: impl Fn(&C, &Spoons<&F>, u32) -> f64 + Sync,
 ) -> (Vec<(f64, C)>, u32) {
     assert!(
         !levels.is_empty() && levels.iter().all(|l| !l.sets.is_empty()) && tuning.candidates > 0
@@ -191,7 +191,7 @@ fn score<F: Filling>(
     schedule: &Schedule,
     levels: &[Level],
     tuning: &Tuning,
-    spoons: &Spoons<F>,
+    spoons: &Spoons<&F>,
     doses: u32,
 ) -> f64 {
     let controller = Controller::Schedule(schedule.clone());
@@ -204,7 +204,7 @@ fn score<F: Filling>(
 pub(super) fn mean_error_mg<F: Filling>(
     levels: &[Level],
     seed: u64,
-    spoons: &Spoons<F>,
+    spoons: &Spoons<&F>,
     doses: u32,
     pour: impl Fn(F::Spoon, u64) -> Vec<f64> + Sync,
 ) -> f64 {

@@ -97,7 +97,6 @@ pub struct Extended {
 
 impl Extended {
     /// The day of an episode with this seed.
-    #[cfg(feature = "libtorch")]
     pub(super) fn drawn(&self, powder: Option<&str>, seed: u64) -> &Patch {
         let own = powder.and_then(|powder| self.powders.get(powder)).filter(|own| !own.is_empty());
         let days = own.unwrap_or(&self.days);
@@ -105,7 +104,6 @@ impl Extended {
     }
 
     /// Whether all days of each powder are equal, i.e. every condition is held.
-    #[cfg(feature = "libtorch")]
     pub(super) fn is_held(&self) -> bool {
         self.powders
             .values()

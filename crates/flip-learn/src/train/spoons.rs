@@ -12,15 +12,15 @@ type Shelf<S> = HashMap<(String, u32, String), Arc<OnceLock<S>>>;
 
 /// Filled spoons by parameter set, heap number and conditions. A clone of one is a new dose from
 /// the same heap.
-pub struct Spoons<'a, F: Filling> {
-    filling: &'a F,
+pub struct Spoons<F: Filling> {
+    filling: F,
     seed: u64,
     kept: Mutex<Shelf<F::Spoon>>,
 }
 
-impl<'a, F: Filling> Spoons<'a, F> {
+impl<F: Filling> Spoons<F> {
     /// Creates an empty cache.
-    pub fn new(filling: &'a F, seed: u64) -> Self {
+    pub fn new(filling: F, seed: u64) -> Self {
         Self { filling, seed, kept: Mutex::new(HashMap::new()) }
     }
 
@@ -51,7 +51,7 @@ mod tests {
     #[test]
     fn a_kept_spoon_is_never_poured_from() {
         let formula = Formula { pitch: PitchLimits::WIDE };
-        let spoons = Spoons::new(&formula, 1);
+        let spoons = Spoons::new(formula, 1);
         let set = ParameterSet::default();
         let none = Patch::default();
         let mut first = spoons.take(&set, 0, &none);

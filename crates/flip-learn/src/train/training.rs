@@ -1,9 +1,10 @@
 //! The training loop.
 
 use super::checkpoint;
-use super::collect::{Planned, Round, Rounds, plan, remembered, stream};
+use super::collect::{Round, Rounds, remembered};
 use super::curriculum::Curriculum;
 use super::environment::{Filling, Played, simulated};
+use super::plan::{Planned, ordered, plan, stream};
 use super::record::{
     EpisodeRecord, Event, Flow, KEPT, Level, Losses, RANDOMISED, Start, TrainError, Trained,
 };
@@ -127,37 +128,6 @@ pub fn train_on<F: Filling>(
 fn rounds_per_checkpoint(progress: &Progress, settings: &Settings) -> u32 {
     let on_surrogate = progress.episodes < settings.surrogate_episodes;
     settings.rounds_per_checkpoint.saturating_mul(if on_surrogate { SURROGATE_EPISODES } else { 1 })
-}
-
-/// The levels in training order.
-fn ordered(levels: &[Level], settings: &Settings) -> Result<Vec<Level>, FieldError> {
-    if settings.order == Order::DomainRandomisation {
-        return Ok(Vec::new());
-    }
-    if levels.is_empty() {
-        return Err(FieldError::new("levels", "must name at least one powder"));
-    }
-    for (k, level) in levels.iter().enumerate() {
-        if level.sets.is_empty() {
-            let advice = format!("`{}` has no parameter set; calibrate it first", level.powder);
-            return Err(FieldError::new(format!("levels[{k}].sets"), advice));
-        }
-        flip_core::domain::bounded(
-            &format!("levels[{k}].repose_deg"),
-            level.repose_deg,
-            0.0,
-            90.0,
-            "deg",
-        )?;
-    }
-    let mut levels = levels.to_vec();
-    levels.sort_by(|a, b| {
-        a.repose_deg.total_cmp(&b.repose_deg).then_with(|| a.powder.cmp(&b.powder))
-    });
-    if settings.order == Order::Reverse {
-        levels.reverse();
-    }
-    Ok(levels)
 }
 
 impl State {

@@ -1,0 +1,287 @@
+"""The Python package flip-powder, as built into a wheel and installed into environments that hold nothing else of FLIP.
+
+Checked by the third parties' own code: Gymnasium's and Stable-Baselines3's checkers, PyLabRobot's dispenser, Bluesky's RunEngine, a running ivoryOS, MLflow.
+Each script `with_python_*.py` prints what it saw; what that must be stands here.
+"""
+
+import functools
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import unittest
+import zipfile
+
+import service
+
+ROOT = service.ROOT
+DOCS = ROOT / "docs/how-to/python.md"
+# Stable-Baselines3 with its torch is 3 GB to fetch: an environment that `make bench-learner` has made serves too.
+LEARNER = pathlib.Path(os.environ.get("LEARNER_VENV", pathlib.Path.home() / ".cache/flip-learner"))
+BASE = ["httpx==0.28.1", "numpy==2.4.6"]
+PLAIN = [*BASE, "attrs==26.1.0", "gymnasium==1.4.0", "pandas==3.1.1", "pyarrow==26.0.1"]
+ADAPTERS = [*BASE, "pylabrobot==0.2.2", "bluesky==1.15.1", "ophyd-async==0.21.3", "ivoryos==1.7.2", "mlflow-skinny==3.17.2", "alembic"]
+CHECKERS = [*PLAIN, "mypy==2.4.1", "ruff==0.17.6", "pandas-stubs"]
+
+
+@functools.cache
+def wheel():
+    """Builds the wheel."""
+    done = subprocess.run([sys.executable, str(ROOT / "python/build.py")], capture_output=True, text=True)
+    if done.returncode != 0 and "pip" in done.stderr and "install" in done.stderr:
+        service.skip(f"maturin cannot be installed here: {done.stderr.strip().splitlines()[-1]}")
+    if done.returncode != 0:
+        raise RuntimeError(done.stdout + done.stderr)
+    print(done.stdout.strip(), file=sys.stderr)
+    return pathlib.Path(done.stdout.split()[0])
+
+
+@functools.cache
+def python(name, *packages):
+    """The Python of an environment with these packages and the wheel of this build."""
+    program = service.environment(name, *packages)
+    install(program, wheel())
+    return program
+
+
+def install(program, package):
+    subprocess.run([program, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--force-reinstall", "--no-deps", str(package)], check=True)
+
+
+def plain():
+    return python("python", *PLAIN)
+
+
+def adapters():
+    return python("python-adapters", *ADAPTERS)
+
+
+@functools.cache
+def learner():
+    """The Python of an environment with Stable-Baselines3."""
+    wanted = [line for line in (ROOT / "benches/learner/requirements.txt").read_text().splitlines() if line and not line.startswith("#")]
+    program = LEARNER / "bin/python"
+    if not program.exists():
+        return python("python-learner", *wanted, BASE[0])
+    subprocess.run([program, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", BASE[0]], check=True)
+    install(program, wheel())
+    return str(program)
+
+
+def snippets(heading):
+    """The blocks of Python in a section of the documentation."""
+    section = re.search(rf"^## {heading}\n(.*?)(?=^## |\Z)", DOCS.read_text(), re.M | re.S)
+    return re.findall(r"^```python\n(.*?)^```", section[1], re.M | re.S)
+
+
+def run(program, code, *arguments, **environment):
+    """Runs a snippet, or a file, in a folder of its own; what it printed."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [program, *(["-c", code] if "\n" in code else [code]), *map(str, arguments)]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env={**os.environ, **environment}, timeout=600)
+    if done.returncode != 0:
+        raise AssertionError(f"{code}\n{done.stdout}\n{done.stderr}")
+    return done.stdout
+
+
+class Package(unittest.TestCase):
+    def test_the_wheel_is_one_for_all_pythons_small_and_without_libtorch(self):
+        path = wheel()
+        self.assertRegex(path.name, r"^flip_powder-\d+\.\d+\.\d+-cp310-abi3-manylinux\w+\.whl$")
+        self.assertLess(path.stat().st_size, 6e6)
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+            metadata = archive.read(next(name for name in names if name.endswith("METADATA"))).decode()
+        self.assertIn("flip_powder/py.typed", names)
+        self.assertIn("flip_powder/api/client.py", names)
+        self.assertEqual([name for name in names if "torch" in name or name.endswith(".pyc")], [])
+        needed = [line for line in metadata.splitlines() if line.startswith("Requires-Dist") and "extra ==" not in line]
+        self.assertEqual(sorted(re.split(r"[ <>=,]", line.removeprefix("Requires-Dist: "))[0] for line in needed), ["httpx", "numpy"])
+
+    def test_it_installs_into_an_empty_environment_by_pip_alone(self):
+        with tempfile.TemporaryDirectory() as folder:
+            subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+            pip = [f"{folder}/bin/pip", "install", "--quiet", "--disable-pip-version-check", str(wheel())]
+            done = subprocess.run(pip, capture_output=True, text=True)
+            if done.returncode != 0:
+                service.skip(f"httpx and numpy cannot be installed here: {done.stderr.strip().splitlines()[-1]}")
+            said = run(f"{folder}/bin/python", "import flip_powder, flip_powder.sim as sim\nprint(flip_powder.__version__, sim.SIMULATOR)")
+        self.assertRegex(said, r"^0\.\d+\.\d+ pbd-\d+$")
+
+    def test_the_blocking_client_is_the_asynchronous_one_without_its_awaits(self):
+        subprocess.run([sys.executable, str(ROOT / "python/unasync.py"), "--check"], check=True)
+
+    def test_types_and_style_are_clean(self):
+        program = python("python-checkers", *CHECKERS)
+        for check in (["mypy"], ["ruff", "check", "."], ["ruff", "format", "--check", "."]):
+            done = subprocess.run([program, "-m", *check], cwd=ROOT / "python", capture_output=True, text=True)
+            self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+
+
+class Client(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.python = plain()
+        cls.service = service.Service.ready()
+        cls.addClassCleanup(cls.service.stop)
+
+    def test_both_clients_weigh_wait_and_name_what_is_wrong(self):
+        secret = self.service.secrets[service.OPERATOR]
+        found = service.drive(self.python, "with_python_client.py", self.service.url, secret, service.POWDER)
+        self.assertEqual(found["dose"], {"outcome": found["dose"]["outcome"], "state": "done", "vial": "A1", "lot": "L7"})
+        for name in ("close", "events", "events_again", "same_key", "uncalibrated", "trace", "token_is_secret", "async_events", "async_list", "generated"):
+            self.assertTrue(found[name], name)
+        self.assertEqual(found["ticks"], [True, True])
+        self.assertEqual(found["stop_of_an_ended_one"], "done")
+        self.assertEqual(found["lost_answers"], {"asked": 3, "poured": 1, "state": "done"})
+        self.assertEqual(found["other_body"], 422)
+        self.assertEqual(found["refusals"], {"powder": True, "target": True, "target.value": True})
+        self.assertEqual([found["wrong_token"], found["late"], found["any_request"]], [401, "done", 200])
+        self.assertEqual(found["pandas"], [True, "A1", True])
+        self.assertEqual(found["arrow"][1], "double")
+        self.assertEqual(found["powder"], [True, 2])
+        self.assertEqual(found["lists"], [True] * 4)
+        self.assertEqual(found["async"], ["done", "done"])
+        self.assertEqual(found["records"], [])
+
+    def test_the_ten_lines_that_weigh_and_the_others_of_the_documentation(self):
+        with service.Service("--bench", "simulated") as fresh:
+            where = {"FLIP_URL": fresh.url, "FLIP_TOKEN": fresh.secrets[service.OPERATOR]}
+            ten, both, table = snippets("Weigh")
+            self.assertLessEqual(len(ten.splitlines()), 10)
+            self.assertRegex(run(self.python, ten, **where), r"^(within|under|over) \d+\.\d mg\n")
+            self.assertIn("within", run(self.python, both, **where))
+            self.assertIn("error_mg", run(self.python, table, **where))
+            example = run(self.python, str(ROOT / "python/examples/weigh.py"), **where)
+            self.assertIn("reading_mg", example)
+
+
+class Killed(unittest.TestCase):
+    def test_a_client_outlives_a_service_that_is_killed_in_the_middle_of_a_dose(self):
+        program = plain()
+        with service.Service.ready() as flip:
+            secret, port = flip.secrets[service.OPERATOR], flip.url.rpartition(":")[2]
+            command = [program, str(service.HERE / "with_python_kill.py"), flip.url, secret, service.POWDER, "dose-1"]
+            client = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            self.assertEqual(client.stdout.readline().strip(), "moving")
+            flip.kill()
+            time.sleep(0.5)
+            again(flip, port)
+            said = client.communicate(timeout=120)[0].strip().splitlines()[-1]
+        self.assertIn('"state": "unknown", "outcome": "unknown", "same": true, "weighings": 1', said)
+
+
+def again(flip, port):
+    """Starts a service again where it was."""
+    command = [service.BINARY, "serve", "--json", "--listen", f"127.0.0.1:{port}", "--data-dir", str(flip.data)]
+    flip.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=flip.log)
+
+
+class Simulator(unittest.TestCase):
+    def test_heaps_spoons_and_calibration_in_this_process(self):
+        found = service.drive(plain(), "with_python_sim.py")
+        self.assertEqual(len(found["parameters"]), 9)
+        self.assertIn("humidity", found["extensions"])
+        self.assertEqual(found["refused"], ["friction", "stickiness"])
+        self.assertEqual(found["snapshot"], [True, 3, "float32", True])
+        for name in ("no_angle", "wet_is_steeper", "lock_released"):
+            self.assertTrue(found[name], name)
+        for name in ("heaps", "spoon", "film", "step_all"):
+            self.assertTrue(all(found[name]), (name, found[name]))
+        self.assertEqual(found["sets"], [True, True, 0.65])
+        self.assertEqual(found["calibrated"], [True, "ps-"])
+
+    def test_the_documentation_simulates(self):
+        (code,) = snippets("Simulate")
+        self.assertIn("deg", run(plain(), code))
+
+
+class Environment(unittest.TestCase):
+    def test_gymnasium_finds_nothing_wrong_and_lockstep_is_the_same_as_alone(self):
+        found = service.drive(plain(), "with_python_env.py")
+        self.assertTrue(found["check_env"])
+        self.assertEqual(found["vector"], "FlipWeighVectorEnv")
+        self.assertEqual(found["lockstep"], [True, True])
+        self.assertTrue(found["NextStep"])
+        self.assertTrue(found["SameStep"])
+        self.assertEqual(found["Disabled"], [True, [0.0, 10.0, 0.0], [True, False, True]])
+        self.assertTrue(found["ended"])
+        self.assertEqual(found["level"], [1.0, 4.0, 0.9])
+        self.assertEqual(found["settings"], [0.3, "curriculum"])
+        self.assertEqual(found["refused"], ["balance.readability_mg", "preset", "settings", "extensions", "levels", "levels[0].sets"])
+        self.assertEqual(found["pickled_spec"], "paper")
+
+    def test_the_lines_of_the_documentation_that_play_many_doses(self):
+        self.assertIn("(1024, 6)", run(plain(), snippets("Train")[1]))
+
+
+class Learners(unittest.TestCase):
+    def test_stable_baselines_finds_nothing_wrong(self):
+        self.assertTrue(service.drive(learner(), "with_python_learners.py")["check_env"])
+
+    def test_the_twenty_lines_that_train(self):
+        code = snippets("Train")[0]
+        self.assertLessEqual(len([line for line in code.splitlines() if line]), 20)
+        self.assertRegex(run(learner(), code), r"mean absolute error \d+\.\d+ mg")
+
+    def test_the_examples_train_and_the_policy_acts_in_flip(self):
+        with tempfile.TemporaryDirectory() as folder:
+            file = pathlib.Path(folder, "policy.safetensors")
+            said = run(learner(), str(ROOT / "python/examples/sb3_sac.py"), 600, file)
+            self.assertRegex(said, r"policy p-[0-9a-f]{16}, \d+ bytes")
+            asked = ["policy", "infer", "--file", file, "--reading-mg", 0, "--target-mg", 10, "--pitch-deg", 0]
+            self.assertIn("shake_mm", str(service.flip(*asked)))
+        self.assertRegex(run(learner(), str(ROOT / "python/examples/ppo.py"), 10240), r"10240 steps .* mg")
+
+
+class Adapters(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.python = adapters()
+        cls.service = service.Service.ready()
+        cls.addClassCleanup(cls.service.stop)
+        cls.secret = cls.service.secrets[service.OPERATOR]
+
+    def drive(self, name):
+        found = service.drive(self.python, f"with_python_{name}.py", self.service.url, self.secret, service.POWDER)
+        print({key: found[key] for key in found if key in ("pylabrobot", "bluesky", "ophyd_async", "ivoryos", "mlflow")}, file=sys.stderr)
+        return found
+
+    def test_pylabrobot(self):
+        found = self.drive("pylabrobot")
+        self.assertEqual([found["states"], found["unknown"], found["serialized"]], [[True, True], ["powder"], [True, True]])
+        self.assertEqual(len(set(found["vials"])), 2)
+
+    def test_bluesky(self):
+        found = self.drive("bluesky")
+        self.assertEqual([found["protocols"], found["doses"], found["units"]], [[True] * 4, [True, True], "mg"])
+        self.assertEqual([found["vial"], found["exit"], found["scan"]], ["V12", "success", 4])
+        self.assertTrue(all(found["stopped"]), found["stopped"])
+        self.service.post("/v1/bench/resume", {"by": "Ada"})
+
+    def test_ivoryos(self):
+        found = self.drive("ivoryos")
+        self.assertEqual(found["methods"], ["angle_of_repose", "bench_state", "dose", "stop"])
+        self.assertEqual([found["offers_powders"], found["dose"], found["angle"], found["state"]], [True, [True, True], True, "free"])
+        self.assertEqual(found["refused"], [False, True])
+
+    def test_mlflow(self):
+        found = self.drive("mlflow")
+        self.assertEqual(found["weighings"], [12.0, ["weighings.json"]])
+        self.assertEqual([found["evaluation"], found["training"], found["policy"]], [True, [20, 19, "1", "p-"], [True]])
+
+    def test_the_documentation(self):
+        with service.Service("--bench", "simulated") as fresh:
+            where = {"FLIP_URL": fresh.url, "FLIP_TOKEN": fresh.secrets[service.OPERATOR]}
+            job = fresh.post("/v1/calibrations", {**service.CALIBRATION, "powder": "salt"})
+            fresh.until(f"/v1/jobs/{job['id']}", lambda it: it["state"] not in ("queued", "running"))
+            for heading, word in [("PyLabRobot", "actual_amount"), ("Bluesky", "doser-reading"), ("MLflow", "")]:
+                (code,) = snippets(heading)
+                self.assertIn(word, run(self.python, code, **where))
+
+
+if __name__ == "__main__":
+    unittest.main(verbosity=2)
