@@ -19,7 +19,7 @@ import service
 
 ROOT = service.ROOT
 DOCS = ROOT / "docs/how-to/python.md"
-# Stable-Baselines3 with its torch is 3 GB to fetch: an environment that `make bench-learner` has made serves too.
+# Stable-Baselines3 with its torch is 3 GB to fetch, which the gate does not: the environment that `make bench-learner` makes serves.
 LEARNER = pathlib.Path(os.environ.get("LEARNER_VENV", pathlib.Path.home() / ".cache/flip-learner"))
 BASE = ["httpx==0.28.1", "numpy==2.4.6"]
 PLAIN = [*BASE, "attrs==26.1.0", "gymnasium==1.4.0", "pandas==3.1.1", "pyarrow==26.0.1"]
@@ -62,10 +62,9 @@ def adapters():
 @functools.cache
 def learner():
     """The Python of an environment with Stable-Baselines3."""
-    wanted = [line for line in (ROOT / "benches/learner/requirements.txt").read_text().splitlines() if line and not line.startswith("#")]
     program = LEARNER / "bin/python"
     if not program.exists():
-        return python("python-learner", *wanted, BASE[0])
+        service.skip(f"Stable-Baselines3 and its torch are 3 GB: `make bench-learner`, or LEARNER_VENV, has them, and {LEARNER} does not")
     subprocess.run([program, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", BASE[0]], check=True)
     install(program, wheel())
     return str(program)
