@@ -105,7 +105,7 @@ impl Caller {
     }
 
     /// The caller as named in records.
-    fn who(&self) -> Who {
+    pub fn who(&self) -> Who {
         match self {
             Self::Anonymous { .. } => Who::anonymous(),
             Self::Holder(Holder { id, name, role, .. }) => {
@@ -162,7 +162,7 @@ pub struct Gate {
 /// every route.
 pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next) -> Response {
     let caller = match request.headers().get(header::AUTHORIZATION).cloned() {
-        Some(value) => holder(&gate.app, &value).await,
+        Some(value) => bearer_of(&gate.app, &value).await,
         None => Ok(Caller::Anonymous {
             may_read: gate.loopback && is_loopback_name(authority(&request)),
         }),
@@ -184,7 +184,11 @@ pub async fn on_behalf(request: Request, next: Next) -> Response {
     acting(who, next.run(request)).await
 }
 
-async fn holder(app: &App, authorization: &HeaderValue) -> Result<Caller, Problem> {
+/// The holder of the token in an `Authorization` header.
+///
+/// # Errors
+/// 401 if it holds none, or none that is valid.
+pub async fn bearer_of(app: &App, authorization: &HeaderValue) -> Result<Caller, Problem> {
     let secret = authorization.to_str().ok().and_then(bearer);
     let secret = secret.ok_or_else(|| {
         Problem::unauthorized("write the header as Authorization: Bearer flip_...")
@@ -204,7 +208,7 @@ fn bearer(header: &str) -> Option<&str> {
 }
 
 /// Host (HTTP/1) or authority (HTTP/2) of a request; empty if it has neither.
-fn authority(request: &Request) -> &str {
+pub fn authority(request: &Request) -> &str {
     let host = || request.headers().get(header::HOST).and_then(|h| h.to_str().ok());
     request.uri().authority().map(|a| a.as_str()).or_else(host).unwrap_or_default()
 }

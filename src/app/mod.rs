@@ -152,7 +152,7 @@ pub use tokens::NewToken;
 pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use vials::{ReservationRequest, VialReadyRequest};
 pub use weighing_search::WeighingsAsked;
-pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
+pub use weighings::{IN_PORTIONS, Target, Tolerance, WeighingDetail, WeighingRequest};
 
 use crate::jobs::Jobs;
 use flip_policy::{Shipped, all_shipped};

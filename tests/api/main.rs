@@ -25,6 +25,7 @@ mod refusals;
 mod repose;
 mod search;
 mod shakes;
+mod sila;
 mod simulators;
 mod stop;
 mod tls;
