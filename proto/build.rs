@@ -9,7 +9,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rerun-if-changed=proto");
     link_libtorch(&root);
     embed_page(&root)?;
-    generate_grpc()
+    generate_grpc()?;
+    generate_sila(&root)
 }
 
 /// No LD_LIBRARY_PATH: the program finds libtorch next to itself (a container) or where it was
@@ -38,5 +39,23 @@ fn generate_grpc() -> Result<(), Box<dyn Error>> {
     let out = PathBuf::from(std::env::var("OUT_DIR")?);
     std::fs::write(out.join("flip.v1.bin"), files.encode_to_vec())?;
     tonic_prost_build::configure().compile_fds(files)?;
+    Ok(())
+}
+
+/// The features of SiLA 2: `sila.rs` has a module for each package. Their descriptions are in the
+/// feature definitions.
+fn generate_sila(root: &std::path::Path) -> Result<(), Box<dyn Error>> {
+    let folder = root.join("proto/sila");
+    let mut protos = Vec::new();
+    for entry in std::fs::read_dir(&folder)? {
+        let path = entry?.path();
+        protos.extend(path.extension().is_some_and(|it| it == "proto").then_some(path.clone()));
+    }
+    protos.sort();
+    let files = protox::compile(protos, [folder])?;
+    tonic_prost_build::configure()
+        .disable_comments(["."])
+        .include_file("sila.rs")
+        .compile_fds(files)?;
     Ok(())
 }

@@ -82,7 +82,7 @@ const EXCEPTIONS: [(&str, &[&str]); 2] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 36] = [
+const CONFINED: [(&str, &[&str]); 38] = [
     ("sqlx::", &["store"]),
     ("axum::", &["api"]),
     ("utoipa::", &["api"]),
@@ -93,6 +93,9 @@ const CONFINED: [(&str, &[&str]); 36] = [
     // The arm's driver is a gRPC server, emulated or not.
     ("tonic::", &["api", "hardware", "emulate"]),
     ("prost::", &["api"]),
+    ("rcgen::", &["api"]),
+    ("mdns_sd::", &["api"]),
+    ("if_addrs::", &["api"]),
     ("serialport::", &["hardware"]),
     ("tokio_modbus::", &["hardware"]),
     ("tokio_serial::", &["hardware"]),

@@ -107,7 +107,7 @@ impl Caller {
     }
 
     /// The caller as named in records.
-    fn who(&self) -> Who {
+    pub fn who(&self) -> Who {
         match self {
             Self::Anonymous { .. } => Who::anonymous(),
             Self::Holder(Holder { id, name, role, .. }) => {
@@ -164,7 +164,7 @@ pub struct Gate {
 /// every route.
 pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next) -> Response {
     let caller = match request.headers().get(header::AUTHORIZATION).cloned() {
-        Some(value) => holder(&gate.app, &value).await,
+        Some(value) => bearer_of(&gate.app, &value).await,
         None => Ok(Caller::Anonymous {
             may_read: gate.loopback && is_loopback_name(authority(&request)),
         }),
@@ -186,7 +186,11 @@ pub async fn on_behalf(request: Request, next: Next) -> Response {
     acting(who, next.run(request)).await
 }
 
-async fn holder(app: &App, authorization: &HeaderValue) -> Result<Caller, Problem> {
+/// The holder of the token in an `Authorization` header.
+///
+/// # Errors
+/// 401 if it holds none, or none that is valid.
+pub async fn bearer_of(app: &App, authorization: &HeaderValue) -> Result<Caller, Problem> {
     let secret = authorization.to_str().ok().and_then(secret);
     let secret = secret.ok_or_else(|| {
         Problem::unauthorized(
@@ -216,7 +220,7 @@ fn secret(header: &str) -> Option<String> {
 }
 
 /// Host (HTTP/1) or authority (HTTP/2) of a request; empty if it has neither.
-fn authority(request: &Request) -> &str {
+pub fn authority(request: &Request) -> &str {
     let host = || request.headers().get(header::HOST).and_then(|h| h.to_str().ok());
     request.uri().authority().map(|a| a.as_str()).or_else(host).unwrap_or_default()
 }
@@ -358,8 +362,9 @@ mod tests {
 
     #[test]
     fn only_the_bearer_scheme_is_read() {
-        assert_eq!(bearer("bearer  flip_x"), Some("flip_x"));
-        assert_eq!(bearer("Basic abc"), None);
-        assert_eq!(bearer("flip_x"), None);
+        assert_eq!(secret("bearer  flip_x").as_deref(), Some("flip_x"));
+        assert_eq!(secret("Basic dTpmbGlwX3g=").as_deref(), Some("flip_x"), "of user `u`");
+        assert_eq!(secret("Basic abc"), None);
+        assert_eq!(secret("flip_x"), None);
     }
 }

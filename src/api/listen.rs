@@ -1,5 +1,7 @@
 //! Where the service listens, and what it refuses to expose.
 
+use super::sila::SilaConfig;
+use crate::app::FieldError;
 use rustls::ServerConfig;
 use rustls::crypto::ring;
 use rustls::pki_types::pem::PemObject;
@@ -22,6 +24,8 @@ pub struct ServeConfig {
     pub tls: Option<Tls>,
     /// Accept a non-loopback address without TLS: tokens then cross the network in clear text.
     pub insecure_lan: bool,
+    /// Where and how to serve SiLA 2 besides, if at all.
+    pub sila: Option<SilaConfig>,
 }
 
 /// PEM files of a TLS server.
@@ -41,6 +45,9 @@ pub enum ServeError {
         "{0} can be reached from other machines: give --tls-cert and --tls-key, or accept readable traffic with --insecure-lan"
     )]
     Exposed(SocketAddr),
+    /// Settings that would let others at the bench, by the option that does.
+    #[error("{0}")]
+    Refused(FieldError),
     /// The port is taken or the address is not local.
     #[error("cannot listen on {address}: {source}")]
     Listen {
@@ -60,7 +67,7 @@ pub enum ServeError {
 impl ServeConfig {
     /// Plain HTTP on `listen`, which must be a loopback address.
     pub fn loopback(listen: SocketAddr) -> Self {
-        Self { listen, tls: None, insecure_lan: false }
+        Self { listen, tls: None, insecure_lan: false, sila: None }
     }
 
     /// Whether only this machine can reach the address.
@@ -76,12 +83,7 @@ impl ServeConfig {
         if !self.is_loopback() && self.tls.is_none() && !self.insecure_lan {
             return Err(ServeError::Exposed(self.listen));
         }
-        let broken = |source| ServeError::Listen { address: self.listen, source };
-        let listener = TcpListener::bind(self.listen).map_err(broken)?;
-        // A second call only extends the queue beyond the standard library's 128.
-        rustix::net::listen(&listener, BACKLOG).map_err(|error| broken(error.into()))?;
-        listener.set_nonblocking(true).map_err(broken)?;
-        Ok(listener)
+        listener(self.listen)
     }
 
     /// Loads the TLS settings from their files.
@@ -90,15 +92,36 @@ impl ServeConfig {
     /// [`ServeError::Tls`] if a file is missing, is not PEM, or certificate and key do not belong
     /// together.
     pub fn tls(&self) -> Result<Option<TlsAcceptor>, ServeError> {
-        let Some(tls) = &self.tls else { return Ok(None) };
-        // A second call in the same process finds the provider already installed, which is fine.
-        let _installed = ring::default_provider().install_default();
-        let config = tls.config().map_err(|error| ServeError::Tls(std::io::Error::other(error)))?;
-        Ok(Some(TlsAcceptor::from(Arc::new(config))))
+        self.tls.as_ref().map(Tls::acceptor).transpose()
     }
 }
 
+/// A bound listener.
+///
+/// # Errors
+/// [`ServeError::Listen`] from the system.
+pub fn listener(address: SocketAddr) -> Result<TcpListener, ServeError> {
+    let broken = |source| ServeError::Listen { address, source };
+    let listener = TcpListener::bind(address).map_err(broken)?;
+    // A second call only extends the queue beyond the standard library's 128.
+    rustix::net::listen(&listener, BACKLOG).map_err(|error| broken(error.into()))?;
+    listener.set_nonblocking(true).map_err(broken)?;
+    Ok(listener)
+}
+
 impl Tls {
+    /// Speaks TLS with these files.
+    ///
+    /// # Errors
+    /// As [`ServeConfig::tls`].
+    pub fn acceptor(&self) -> Result<TlsAcceptor, ServeError> {
+        // A second call in the same process finds the provider already installed, which is fine.
+        let _installed = ring::default_provider().install_default();
+        let config =
+            self.config().map_err(|error| ServeError::Tls(std::io::Error::other(error)))?;
+        Ok(TlsAcceptor::from(Arc::new(config)))
+    }
+
     fn config(&self) -> Result<ServerConfig, Box<dyn std::error::Error + Send + Sync>> {
         let certificates =
             CertificateDer::pem_file_iter(&self.certificate)?.collect::<Result<Vec<_>, _>>()?;

@@ -1,10 +1,10 @@
-//! REST, gRPC and the web page on one port, all through [`crate::app`].
+//! REST, gRPC and the web page on one port, SiLA 2 on another, all through [`crate::app`].
 //!
 //! A request passes, from the outside in: [`front`] (connections, on dedicated threads), [`asked`]
 //! (number of stops so far), [`edge`] (id, protocol of errors, headers, metrics), a panic handler,
 //! [`auth::same_origin`], [`auth::identify`]; a stop then goes to the bench, and everything else
 //! waits for its body and its seat ([`limits`]) and goes on to its route in [`rest`], [`grpc`],
-//! [`madsci`], [`probes`] or [`page`] on the main runtime.
+//! [`madsci`], [`probes`] or [`page`] on the main runtime. [`sila`] says how its requests go.
 
 mod asked;
 mod auth;
@@ -21,6 +21,7 @@ mod page;
 mod probes;
 pub mod problem;
 pub mod rest;
+pub mod sila;
 mod webhooks;
 pub mod wire;
 
@@ -46,6 +47,7 @@ pub struct Server {
     app: App,
     config: ServeConfig,
     listener: TcpListener,
+    sila: Option<sila::Bound>,
 }
 
 /// Listens and answers until `shutdown` completes; combines [`bind`] and [`Server::run`].
@@ -64,10 +66,12 @@ pub async fn serve(
 ///
 /// # Errors
 /// [`ServeError::Exposed`] for an address reachable unencrypted from other machines,
-/// [`ServeError::Listen`] if it is not free.
+/// [`ServeError::Refused`] for settings of SiLA 2 that would expose the bench,
+/// [`ServeError::Listen`] if an address is not free.
 pub fn bind(app: App, config: ServeConfig) -> Result<Server, ServeError> {
     let listener = config.listen()?;
-    Ok(Server { app, config, listener })
+    let sila = config.sila.clone().map(|it| sila::bind(&app, it)).transpose()?;
+    Ok(Server { app, config, listener, sila })
 }
 
 impl Server {
@@ -77,6 +81,14 @@ impl Server {
     /// The system's error.
     pub fn address(&self) -> Result<SocketAddr, ServeError> {
         Ok(self.listener.local_addr()?)
+    }
+
+    /// The address of the SiLA server, if there is one.
+    ///
+    /// # Errors
+    /// The system's error.
+    pub fn sila_address(&self) -> Result<Option<SocketAddr>, ServeError> {
+        Ok(self.sila.as_ref().map(sila::Bound::address).transpose()?)
     }
 
     /// Answers until `shutdown` completes. Then accepts no more connections, gives open requests
@@ -94,6 +106,7 @@ impl Server {
         let router =
             front::router(self.app.clone(), self.config.is_loopback(), main, closing.clone());
         let front = Front::open(self.listener, tls, router, closing.clone())?;
+        let sila = self.sila.map(|it| it.open(&self.app, closing.clone())).transpose()?;
         tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().keep_tokens()));
         tokio::spawn(closing.clone().run_until_cancelled_owned(self.app.clone().greet_provider()));
         tokio::spawn(journal::keep(self.app.clone(), closing.clone()));
@@ -105,7 +118,12 @@ impl Server {
                 tracing::error!(%error, "the application did not close cleanly");
             }
         };
-        tokio::join!(front.leave(DRAIN), close);
+        let leave_sila = async {
+            if let Some(sila) = &sila {
+                sila.front.leave(DRAIN).await;
+            }
+        };
+        tokio::join!(front.leave(DRAIN), leave_sila, close);
         Ok(())
     }
 }

@@ -140,16 +140,16 @@ impl Keyring {
             return None;
         }
         key.used_ms.fetch_max(at.unix_ms(), Ordering::Relaxed);
-        let entry = &key.token.entry;
-        let may_clear = entry.may_clear || entry.role == Role::Admin;
-        Some(Holder {
-            id: entry.id.clone(),
-            name: entry.name.clone(),
-            role: entry.role,
-            may_clear,
-            expires_at: entry.expires_at,
-            issuer: entry.issuer.clone(),
-        })
+        Some(key.holder())
+    }
+
+    /// Holder of the newest valid token with this name.
+    pub(super) fn named(&self, name: &str) -> Option<Holder> {
+        let (known, at) = (self.known(), now());
+        let named = known.values().filter(|key| key.token.entry.name == name && key.is_good(at));
+        let key = named.max_by_key(|key| key.token.entry.created_at)?;
+        key.used_ms.fetch_max(at.unix_ms(), Ordering::Relaxed);
+        Some(key.holder())
     }
 
     /// Uses that are not stored yet.
@@ -174,6 +174,18 @@ impl Key {
         let used_ms =
             before.get(&token.entry.id).map_or(0, |key| key.used_ms.load(Ordering::Relaxed));
         Self { token, used_ms: AtomicI64::new(used_ms) }
+    }
+
+    fn holder(&self) -> Holder {
+        let entry = &self.token.entry;
+        Holder {
+            id: entry.id.clone(),
+            name: entry.name.clone(),
+            role: entry.role,
+            may_clear: entry.may_clear || entry.role == Role::Admin,
+            expires_at: entry.expires_at,
+            issuer: entry.issuer.clone(),
+        }
     }
 
     fn is_good(&self, at: Timestamp) -> bool {
@@ -234,6 +246,14 @@ mod tests {
         let revoke = async || ring.replace(vec![revoked]);
         tokio::join!(ring.ended("00"), revoke());
         ring.ended("not there").await;
+    }
+
+    #[test]
+    fn a_token_is_found_by_its_name_while_it_is_valid() {
+        let past = Timestamp::from_unix_ms(now().unix_ms() - 1);
+        assert_eq!(ring(|_| {}).named("test").unwrap().id, "00");
+        assert_eq!(ring(|_| {}).named("another"), None);
+        assert_eq!(ring(|it| it.expires_at = Some(past)).named("test"), None);
     }
 
     #[test]

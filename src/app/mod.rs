@@ -158,7 +158,7 @@ pub use trainings::{Training, TrainingLevel, TrainingRequest};
 pub use vials::{ReservationRequest, VialReadyRequest};
 pub use webhooks::NewWebhook;
 pub use weighing_search::WeighingsAsked;
-pub use weighings::{Target, Tolerance, WeighingDetail, WeighingRequest};
+pub use weighings::{IN_PORTIONS, Target, Tolerance, WeighingDetail, WeighingRequest};
 
 use crate::jobs::Jobs;
 use flip_policy::{Shipped, all_shipped};

@@ -123,6 +123,12 @@ impl App {
         self.inner.keyring.holder(secret)
     }
 
+    /// Holder of the newest valid token with this name, for callers who cannot show one. Reads only
+    /// memory.
+    pub fn holder_named(&self, name: &str) -> Option<Holder> {
+        self.inner.keyring.named(name)
+    }
+
     /// As [`App::authenticate`], after rereading the table: another process may just have created
     /// the token.
     pub async fn authenticate_late(&self, secret: &str) -> Option<Holder> {

@@ -29,6 +29,8 @@ use std::collections::BTreeMap;
 
 /// Minimum target, mg: below the finest display step nothing can be weighed.
 const TARGET_MG_MIN: f64 = 0.1;
+/// What to do about a target above what the bench can dose; in no other refusal.
+pub const IN_PORTIONS: &str = "weigh it in portions";
 /// Name of the ticks of a weighing in an error that reports them lost.
 const TRACE: &str = "the trace of this weighing";
 /// Index of the seed that selects the simulated powder.
@@ -190,7 +192,7 @@ impl App {
                 true => ", or write what yours holds under [spoon] in the bench file",
                 false => "",
             };
-            let advice = format!("{message}: weigh it in portions{own}");
+            let advice = format!("{message}: {IN_PORTIONS}{own}");
             return Err(FieldError::new("target.value", advice).into());
         }
         let named = request.policy.as_deref();

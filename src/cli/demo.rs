@@ -119,7 +119,7 @@ fn serve(
     arguments: &Arguments,
     stop: &CancellationToken,
 ) -> Result<Option<Service>, Failure> {
-    let server = match serve::bind(app, &arguments.address) {
+    let server = match serve::bind(app, &arguments.address, None) {
         Err(Failure::Failed(error)) if arguments.exit => {
             telemetry::say(format_args!("flip: going on without the page: {error:#}"));
             return Ok(None);

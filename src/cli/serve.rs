@@ -1,4 +1,5 @@
-//! `flip serve`: REST, gRPC and the web page on one port, until SIGTERM or Ctrl-C.
+//! `flip serve`: REST, gRPC and the web page on one port, SiLA 2 on another if asked for, until
+//! SIGTERM or Ctrl-C.
 
 use super::Common;
 use super::benches::BenchArguments;
@@ -6,6 +7,7 @@ use super::failure::Failure;
 use super::oidc::OidcArguments;
 use super::session::{StopSignals, service_runtime};
 use super::token;
+use crate::api::sila::SilaConfig;
 use crate::api::{self, ServeConfig, ServeError, Server, Tls};
 use crate::app::{App, Options, Workers};
 use crate::telemetry;
@@ -13,7 +15,7 @@ use clap::ValueEnum;
 use flip_core::domain::FieldError;
 use serde::Serialize;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `flip serve`.
 #[derive(Debug, clap::Args)]
@@ -25,6 +27,8 @@ pub(super) struct Arguments {
     /// Name of the laboratory, at the head of certificates.
     #[arg(long, value_name = "NAME")]
     laboratory: Option<String>,
+    #[command(flatten)]
+    sila: SilaArguments,
     #[command(flatten)]
     oidc: OidcArguments,
     /// Format of log lines on stderr; FLIP_LOG selects which are shown, e.g. FLIP_LOG=flip=debug.
@@ -50,6 +54,29 @@ pub(super) struct Address {
     insecure_lan: bool,
 }
 
+/// SiLA 2 (docs/interfaces.md).
+#[derive(Debug, Clone, clap::Args)]
+struct SilaArguments {
+    /// Also serve SiLA 2 here, for schedulers: address and port; port 0 lets the system choose. With
+    /// TLS; without --tls-cert by a certificate of its own, which the data folder keeps.
+    #[arg(long, value_name = "ADDRESS")]
+    sila: Option<SocketAddr>,
+    /// Serve SiLA 2 without TLS; on loopback addresses only.
+    #[arg(long, requires = "sila")]
+    sila_insecure: bool,
+    /// Name of an operator's or viewer's token by which SiLA clients act that send no access token:
+    /// some cannot, and whoever reaches the port then acts by it [default: none].
+    #[arg(long, value_name = "NAME", requires = "sila")]
+    sila_role: Option<String>,
+    /// Let SiLA clients lock the server, which reserves the bench; some clients then have to send the
+    /// lock with every call.
+    #[arg(long, requires = "sila")]
+    sila_lock: bool,
+    /// Do not announce the SiLA server on its network.
+    #[arg(long, requires = "sila")]
+    sila_unannounced: bool,
+}
+
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum LogFormat {
     Text,
@@ -60,6 +87,9 @@ enum LogFormat {
 #[derive(Debug, Serialize)]
 struct Document {
     url: String,
+    /// Where SiLA 2 is served, if it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sila: Option<String>,
     /// An admin's token, on the first start only.
     token: Option<String>,
 }
@@ -76,15 +106,19 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             ..arguments.bench.options()?
         };
         let app = App::open(&common.data_dir, options).await?;
-        let server = match bind(&app, &arguments.address) {
+        let sila = arguments.sila.config(&common.data_dir, &arguments.address);
+        let server = match bind(&app, &arguments.address, sila) {
             Ok(server) => server,
             Err(failure) => {
                 app.shutdown().await?;
                 return Err(failure);
             }
         };
-        let document =
-            Document { url: arguments.address.url(&server)?, token: token::first(&app).await? };
+        let document = Document {
+            url: arguments.address.url(&server)?,
+            sila: server.sila_address()?.map(|address| format!("sila://{address}")),
+            token: token::first(&app).await?,
+        };
         if common.print(&document, || text(&document)).is_err() {
             // The bench may be in use already.
             tracing::warn!(
@@ -98,23 +132,47 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 }
 
 /// Binds the address before any long work: a port that is taken should be reported at once.
-pub(super) fn bind(app: &App, address: &Address) -> Result<Server, Failure> {
+pub(super) fn bind(
+    app: &App,
+    address: &Address,
+    sila: Option<SilaConfig>,
+) -> Result<Server, Failure> {
     // A settings file may give only one of the two, which clap does not check.
     if address.tls_cert.is_some() != address.tls_key.is_some() {
         let message =
             "certificate and key go together: name both files, or neither to speak without TLS";
         return Err(FieldError::new("tls_cert", message).into());
     }
-    let tls = address.tls_cert.clone().zip(address.tls_key.clone());
     let config = ServeConfig {
         listen: address.listen,
-        tls: tls.map(|(certificate, key)| Tls { certificate, key }),
+        tls: address.tls(),
         insecure_lan: address.insecure_lan,
+        sila,
     };
     Ok(api::bind(app.clone(), config)?)
 }
 
+impl SilaArguments {
+    fn config(&self, data_dir: &Path, address: &Address) -> Option<SilaConfig> {
+        let listen = self.sila?;
+        Some(SilaConfig {
+            listen,
+            data_dir: data_dir.to_owned(),
+            tls: address.tls(),
+            insecure: self.sila_insecure,
+            role: self.sila_role.clone(),
+            lock: self.sila_lock,
+            announce: !self.sila_unannounced,
+        })
+    }
+}
+
 impl Address {
+    fn tls(&self) -> Option<Tls> {
+        let files = self.tls_cert.clone().zip(self.tls_key.clone());
+        files.map(|(certificate, key)| Tls { certificate, key })
+    }
+
     /// The address to open in a browser.
     pub(super) fn url(&self, server: &Server) -> Result<String, Failure> {
         let scheme = if self.tls_cert.is_some() { "https" } else { "http" };
@@ -138,7 +196,8 @@ async fn stopped(mut signals: StopSignals) {
 fn text(document: &Document) -> String {
     let token =
         document.token.as_deref().map_or(String::new(), |token| format!("\n{}", announce(token)));
-    format!("FLIP serves {}{token}", document.url)
+    let sila = document.sila.as_deref().map_or(String::new(), |at| format!(", SiLA 2 at {at}"));
+    format!("FLIP serves {}{sila}{token}", document.url)
 }
 
 impl From<LogFormat> for telemetry::Format {
@@ -155,6 +214,7 @@ impl From<ServeError> for Failure {
         match error {
             ServeError::Exposed(_) => FieldError::new("listen", error.to_string()).into(),
             ServeError::Tls(_) => FieldError::new("tls_cert", error.to_string()).into(),
+            ServeError::Refused(error) => error.into(),
             error => Self::Failed(error.into()),
         }
     }

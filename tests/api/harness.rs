@@ -17,6 +17,8 @@ use tokio::task::JoinHandle;
 pub struct Service {
     pub app: App,
     pub address: SocketAddr,
+    /// Where it speaks SiLA 2, if it does.
+    pub sila: Option<SocketAddr>,
     bench: Bench,
     client: reqwest::Client,
     stop: Option<oneshot::Sender<()>>,
@@ -67,13 +69,13 @@ impl Service {
         let options = Options { functions, oidc, ..Options::default() };
         let app = App::open(data.path(), options).await.unwrap();
         let server = api::bind(app.clone(), config).unwrap();
-        let address = server.address().unwrap();
+        let (address, sila) = (server.address().unwrap(), server.sila_address().unwrap());
         let (stop, stopped) = oneshot::channel();
         let ended = tokio::spawn(server.run(async {
             let _told_or_dropped = stopped.await;
         }));
         let client = reqwest::Client::new();
-        Self { app, address, bench, client, stop: Some(stop), ended, data }
+        Self { app, address, sila, bench, client, stop: Some(stop), ended, data }
     }
 
     /// Shuts the service down and waits until it has.

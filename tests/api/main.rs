@@ -26,6 +26,7 @@ mod refusals;
 mod repose;
 mod search;
 mod shakes;
+mod sila;
 mod simulators;
 mod stop;
 mod tables;

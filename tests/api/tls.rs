@@ -20,7 +20,7 @@ async fn with_a_certificate_the_service_answers_encrypted_on_any_address() {
     let folder = tempfile::tempdir().unwrap();
     let (tls, root) = certificate(folder.path());
     let config =
-        ServeConfig { listen: "0.0.0.0:0".parse().unwrap(), tls: Some(tls), insecure_lan: false };
+        ServeConfig { tls: Some(tls), ..ServeConfig::loopback("0.0.0.0:0".parse().unwrap()) };
     let service = Service::start_at(config).await;
     let trust =
         ClientTlsConfig::new().ca_certificate(Certificate::from_pem(root)).domain_name("localhost");

@@ -22,7 +22,7 @@ mod stop;
 mod table;
 mod wire;
 
-pub use connection::Connection;
+pub use connection::{Connection, Kind};
 
 use super::complaint::Complaint;
 use super::{asked, auth, edge, probes};
@@ -33,7 +33,7 @@ use axum::body::Body;
 use axum::extract::{Extension, Request};
 use axum::middleware::{Next, from_fn, from_fn_with_state};
 use axum::response::Response;
-use connection::{HEAD, Kind};
+use connection::HEAD;
 use hall::{Hall, hall, is_stream};
 use handshake::Handshakes;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
@@ -59,6 +59,8 @@ use wire::Wire;
 const THREADS: usize = 2;
 /// Connections that may be open beyond the table's capacity: those it has just closed.
 const CLOSING: usize = 16;
+/// One in this many of all descriptors is for connections of a small front end.
+const SHARE: usize = 8;
 /// How often connections are checked.
 const SWEEP: Duration = Duration::from_millis(500);
 /// Maximum concurrent requests on one HTTP/2 connection: more than event streams and waiting stops
@@ -100,7 +102,31 @@ impl Front {
         router: Router,
         closing: CancellationToken,
     ) -> io::Result<Self> {
-        let room = descriptors::room();
+        Self::with_room(listener, tls, router, closing, descriptors::room())
+    }
+
+    /// As [`Front::open`], for at most this many connections beside the others of the process.
+    ///
+    /// # Errors
+    /// As [`Front::open`].
+    pub fn open_small(
+        listener: TcpListener,
+        tls: Option<TlsAcceptor>,
+        router: Router,
+        closing: CancellationToken,
+        most: usize,
+    ) -> io::Result<Self> {
+        let room = (descriptors::room() / SHARE).min(most);
+        Self::with_room(listener, tls, router, closing, room.max(1))
+    }
+
+    fn with_room(
+        listener: TcpListener,
+        tls: Option<TlsAcceptor>,
+        router: Router,
+        closing: CancellationToken,
+        room: usize,
+    ) -> io::Result<Self> {
         let (handshakes, shaking) = tls.map(Handshakes::with).transpose()?.unzip();
         let doors = Doors {
             table: Arc::new(Table::new(room)),
@@ -162,6 +188,16 @@ async fn follow(
     next: Next,
 ) -> Response {
     let kind = if is_stream(request.uri()) { Kind::Stream } else { Kind::Ordinary };
+    registered(&connection, kind, request, next).await
+}
+
+/// Answers a request that is registered with its connection until the last of the answer is sent.
+pub async fn registered(
+    connection: &Arc<Connection>,
+    kind: Kind,
+    request: Request,
+    next: Next,
+) -> Response {
     let under_way = connection.begin(kind);
     next.run(request).await.map(|body| Body::new(Answer::new(body, under_way)))
 }
