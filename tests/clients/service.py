@@ -196,7 +196,9 @@ def environment(name, *packages):
 
 def drive(python, script, *arguments, seconds=300):
     """Runs a script of this folder in an environment; the JSON document that it prints last."""
-    done = subprocess.run([python, str(HERE / script), *map(str, arguments)], capture_output=True, text=True, timeout=seconds)
+    # MADSci keeps logs in the folder where it runs.
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run([python, str(HERE / script), *map(str, arguments)], capture_output=True, text=True, timeout=seconds, cwd=folder)
     lines = done.stdout.strip().splitlines()
     if done.returncode != 0 or not lines:
         raise AssertionError(f"{script} {' '.join(map(str, arguments))} failed:\n{done.stdout}\n{done.stderr}")
