@@ -82,7 +82,7 @@ const EXCEPTIONS: [(&str, &[&str]); 2] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 38] = [
+const CONFINED: [(&str, &[&str]); 39] = [
     ("sqlx::", &["store"]),
     ("axum::", &["api"]),
     ("utoipa::", &["api"]),
