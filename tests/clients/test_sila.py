@@ -32,6 +32,11 @@ class Simulated(unittest.TestCase):
         cls.service = Service.ready(*PLAIN)
         cls.addClassCleanup(cls.service.stop)
 
+    def tearDown(self):
+        # A stop holds the bench: the next test weighs.
+        if self.service.get("/v1/bench")["held"]:
+            self.service.post("/v1/bench/resume", {"by": "test"})
+
     def drive(self, what, *more):
         return drive(self.python, self.SCRIPT, what, *self.service.sila, *more)
 
@@ -47,7 +52,7 @@ class Sila2(Simulated):
         self.assertEqual(found["type"], "PowderDoser")
 
     def test_a_dose_shows_its_mass_as_it_grows_and_ends_with_a_result(self):
-        found = self.drive("dose", "sila2 dose")
+        found = self.drive("dose", "sila2-dose")
         self.assertEqual((found["status"], found["progress"]), ("finishedSuccessfully", 1.0))
         masses = [mass for mass, _ in found["values"]]
         self.assertGreater(len(masses), 3)
@@ -61,14 +66,14 @@ class Sila2(Simulated):
         self.assertIn("<html", self.drive("certificate", found["uuid"])["page"])
 
     def test_the_same_identifier_is_the_same_dose_and_with_other_parameters_an_error(self):
-        first, again = (self.drive("attempt", "sila2 once")["value"] for _ in range(2))
+        first, again = (self.drive("attempt", "sila2-once")["value"] for _ in range(2))
         self.assertEqual(first, again)
-        other = self.drive("attempt", "sila2 once", "16")["error"]
+        other = self.drive("attempt", "sila2-once", "16")["error"]
         self.assertEqual(other["identifier"], defined("DoseIdentifierReused"))
         self.service.ended(first)
 
     def test_a_dose_is_cancelled_and_says_so(self):
-        found = self.drive("cancel", "sila2 cancelled", LARGE)
+        found = self.drive("cancel", "sila2-cancelled", LARGE)
         self.assertEqual(found["status"], "finishedWithError")
         self.assertEqual(found["error"]["identifier"], defined("DoseStopped"))
         sentence, _, document = found["error"]["message"].partition("\n")
@@ -121,14 +126,13 @@ class Unitelabs(Simulated):
     PACKAGES, SCRIPT = UNITELABS, "with_unitelabs.py"
 
     def test_a_dose_shows_its_mass_and_ends_with_a_result(self):
-        found = self.drive("dose", "unitelabs dose")
+        found = self.drive("dose", "unitelabs-dose")
         self.assertEqual(found["values"][-1][1], "done")
         self.assertIn(found["value"]["Outcome"], ("within", "under"))
 
     def test_a_dose_is_cancelled_and_says_so(self):
-        found = self.drive("cancel", "unitelabs cancelled", LARGE)
+        found = self.drive("cancel", "unitelabs-cancelled", LARGE)
         self.assertEqual(found["error"]["kind"], "DoseStopped")
-        self.service.post("/v1/bench/resume", {"by": "test"})
 
     def test_errors_have_the_kind_and_the_name_that_a_client_can_act_on(self):
         found = self.drive("errors")
@@ -140,7 +144,7 @@ class Madsci(Simulated):
     PACKAGES, SCRIPT = MADSCI, "with_madsci_sila.py"
 
     def test_a_node_doses_and_shows_its_state(self):
-        found = self.drive("dose", "madsci dose")
+        found = self.drive("dose", "madsci-dose")
         self.assertIn("PowderWeighing.DosePowder", found["actions"])
         self.assertEqual((found["begun"], found["busy"], found["status"]), ("running", True, "succeeded"))
         self.assertIn(found["result"]["Outcome"], ("within", "under"))
@@ -148,10 +152,9 @@ class Madsci(Simulated):
         self.assertEqual(found["state"]["BalanceReading.Reading"]["Mass"], found["result"]["Mass"])
 
     def test_a_dose_is_cancelled_and_says_so(self):
-        found = self.drive("cancel", "madsci cancelled", LARGE)
+        found = self.drive("cancel", "madsci-cancelled", LARGE)
         self.assertEqual((found["cancel"]["status"], found["status"]), ("succeeded", "failed"))
         self.assertIn("DoseStopped", found["errors"][0]["message"])
-        self.service.post("/v1/bench/resume", {"by": "test"})
 
     def test_an_error_says_what_to_do(self):
         found = self.drive("errors")
@@ -242,7 +245,7 @@ class Killed(unittest.TestCase):
     def test_an_execution_outlives_kill_9_in_the_middle_of_a_dose_and_nothing_is_poured_twice(self):
         python = environment(*SILA2)
         with Service.ready(*PLAIN, "--bench", "emulated") as service:
-            begun = drive(python, "with_sila2.py", "begin", *service.sila, "killed dose")
+            begun = drive(python, "with_sila2.py", "begin", *service.sila, "killed-dose")
             service.kill()
             service.start()
             found = drive(python, "with_sila2.py", "look", *service.sila, begun["uuid"])
@@ -250,8 +253,8 @@ class Killed(unittest.TestCase):
             self.assertEqual(found["error"]["identifier"], defined("DoseOutcomeUnknown"))
             self.assertEqual((found["bench"]["State"], found["bench"]["Kind"]), ("Latched", "emulated"))
             # The scheduler asks again with the same identifier: the same dose, and none is poured.
-            self.assertEqual(drive(python, "with_sila2.py", "attempt", *service.sila, "killed dose")["value"], begun["uuid"])
-            latched = drive(python, "with_sila2.py", "attempt", *service.sila, "another dose")["error"]
+            self.assertEqual(drive(python, "with_sila2.py", "attempt", *service.sila, "killed-dose")["value"], begun["uuid"])
+            latched = drive(python, "with_sila2.py", "attempt", *service.sila, "another-dose")["error"]
             self.assertEqual(latched["identifier"], defined("BenchLatched"))
             self.assertEqual(service.get("/v1/weighings")["total"], 1)
 

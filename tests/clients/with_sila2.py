@@ -150,7 +150,7 @@ def do_calibrate(client):
 
 def do_measure(client, piles="1"):
     def measured():
-        instance = client.AngleOfReposeMeasurement.MeasureAngleOfRepose(Powder=POWDER, Run=0, Piles=int(piles), Frames=3)
+        instance = client.AngleOfReposeMeasurement.MeasureAngleOfRepose(Powder=POWDER, Run=0, Piles=int(piles), Frames=0)
         with instance.subscribe_to_intermediate_responses() as values:
             said = [value.Message for value in values]
         wait(instance)
@@ -177,13 +177,13 @@ def do_login(client, user, token):
     wrong = attempt(lambda: login(user, "flip_0_0", server, [])._asdict())
     got = login(user, token, server, [])
     access = client.AuthorizationService.AccessToken
-    before = attempt(lambda: str(dose(client, "login 1").execution_uuid))
-    instance = dose(client, "login 1", metadata=[access(got.AccessToken)])
+    before = attempt(lambda: str(dose(client, "login-1").execution_uuid))
+    instance = dose(client, "login-1", metadata=[access(got.AccessToken)])
     wait(instance)
     ended = outcome(instance)
-    invalid = attempt(lambda: str(dose(client, "login 2", metadata=[access("nothing")]).execution_uuid))
+    invalid = attempt(lambda: str(dose(client, "login-2", metadata=[access("nothing")]).execution_uuid))
     client.AuthenticationService.Logout(got.AccessToken)
-    after = attempt(lambda: str(dose(client, "login 2", metadata=[access(got.AccessToken)]).execution_uuid))
+    after = attempt(lambda: str(dose(client, "login-2", metadata=[access(got.AccessToken)]).execution_uuid))
     affected = [str(it) for it in access.get_affected_calls()]
     return {"wrong": wrong, "before": before, "ended": ended, "invalid": invalid, "after": after, "lifetime": got.TokenLifetime, "affected": affected}
 
@@ -193,8 +193,8 @@ def do_lock(client):
     lock.LockServer("mine", 60)
     twice = attempt(lambda: lock.LockServer("yours", 60))
     locked = lock.IsLocked.get()
-    without = attempt(lambda: str(dose(client, "lock 1").execution_uuid))
-    instance = dose(client, "lock 1", metadata=[lock.LockIdentifier("mine")])
+    without = attempt(lambda: str(dose(client, "lock-1").execution_uuid))
+    instance = dose(client, "lock-1", metadata=[lock.LockIdentifier("mine")])
     wait(instance)
     ended = outcome(instance)
     wrong = attempt(lambda: lock.UnlockServer("yours"))

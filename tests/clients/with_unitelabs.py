@@ -49,6 +49,8 @@ async def do_cancel(client, key, target):
         if value.State == "dosing" and value.Step > 0:
             await client.CancelController.CancelCommand(CommandExecutionUUID=execution.command_execution_uuid)
             break
+    async for _ in await execution.subscribe_status():
+        pass
     return await result(execution)
 
 
