@@ -84,6 +84,10 @@ class Service:
             except ValueError:
                 if not line:
                     raise RuntimeError(f"flip serve does not begin: {self.logged()}") from None
+        if "url" not in self.said:
+            self.process.wait()
+            self.process.stdout.close()
+            raise RuntimeError(f"flip serve does not begin: {self.said}")
         self.url = self.said["url"]
 
     @property
