@@ -12,7 +12,7 @@ fn least(method: &str, path: &str) -> Option<Role> {
     Some(match (method, path) {
         // Who logs in has no token yet.
         (_, "/v1/login" | "/v1/login/finish") => return None,
-        (_, "/v1/tokens" | "/v1/tokens/{id}") => Role::Admin,
+        (_, "/v1/tokens" | "/v1/tokens/{id}" | "/v1/webhooks" | "/v1/webhooks/{id}") => Role::Admin,
         // An operator's too, if the token was made for it; these were not.
         ("POST", "/v1/bench/clear") => Role::Admin,
         ("GET", _) => Role::Viewer,
