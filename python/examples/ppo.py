@@ -23,7 +23,7 @@ torch.manual_seed(1)
 rng = np.random.default_rng(1)
 # With the next episode's first observation in the step that ends one, every step is a transition.
 envs = gym.make_vec("FlipWeigh-v0", num_envs=DOSES, autoreset_mode=AutoresetMode.SAME_STEP)
-inputs = envs.single_observation_space.shape[0]
+inputs = envs.single_observation_space.sample().size
 
 
 def network(outputs: int, scale: float) -> nn.Sequential:
@@ -88,6 +88,7 @@ for _update in range(updates):
 
 steps = updates * DOSES * ROLLOUT
 recent = errors[-2000:]
+seconds = time.monotonic() - began
 print(
-    f"{steps} steps in {time.monotonic() - began:.0f} s, mean absolute error of the last {len(recent)} doses: {np.mean(recent):.2f} mg"
+    f"{steps} steps in {seconds:.0f} s, mean absolute error of the last {len(recent)} doses: {np.mean(recent):.2f} mg"
 )

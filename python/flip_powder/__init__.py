@@ -3,14 +3,15 @@
 * :class:`Client` and :class:`AsyncClient` speak to a FLIP service.
 * :mod:`flip_powder.sim` simulates heaps and spoons in this process.
 * :mod:`flip_powder.env` has the Gymnasium environments `FlipWeigh-v0`.
-* :mod:`flip_powder.pylabrobot`, `.bluesky`, `.ivoryos` and `.mlflow` are adapters; each needs the package it is named
-  after.
+* :mod:`flip_powder.pylabrobot`, `.bluesky`, `.ivoryos`, `.mlflow` and `.sb3` are adapters; each needs the package that
+  it is named after.
 * `flip_powder.api` has every operation of the REST interface, generated from the OpenAPI document.
 """
 
 from ._async_client import AsyncClient
 from ._client import Client
 from ._flow import Answer, Retries
+from ._native import VERSION
 from ._problems import (
     BenchHeldError,
     ConflictError,
@@ -47,7 +48,7 @@ from ._records import (
 )
 from ._tables import AsyncListing, Listing
 
-__version__ = "0.1.0"
+__version__ = VERSION
 
 __all__ = [
     "Action",

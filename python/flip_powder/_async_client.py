@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import httpx
 
@@ -160,7 +160,19 @@ class AsyncClient:
         """
         return self._list("/v1/weighings", filters, Weighing.of)
 
-    async def wait(self, it: Weighing | Job, *, timeout: float | None = None, on_event: See | None = None) -> Any:
+    @overload
+    async def wait(self, it: Weighing, *, timeout: float | None = None, on_event: See | None = None) -> Weighing: ...
+
+    @overload
+    async def wait(self, it: Job, *, timeout: float | None = None, on_event: See | None = None) -> Job: ...
+
+    async def wait(
+        self,
+        it: Weighing | Job,
+        *,
+        timeout: float | None = None,
+        on_event: See | None = None,
+    ) -> Weighing | Job:
         """Waits until a weighing has ended or a job has succeeded, and returns it.
 
         Raises:

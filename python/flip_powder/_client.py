@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import httpx
 
@@ -159,7 +159,19 @@ class Client:
         """
         return self._list("/v1/weighings", filters, Weighing.of)
 
-    def wait(self, it: Weighing | Job, *, timeout: float | None = None, on_event: See | None = None) -> Any:
+    @overload
+    def wait(self, it: Weighing, *, timeout: float | None = None, on_event: See | None = None) -> Weighing: ...
+
+    @overload
+    def wait(self, it: Job, *, timeout: float | None = None, on_event: See | None = None) -> Job: ...
+
+    def wait(
+        self,
+        it: Weighing | Job,
+        *,
+        timeout: float | None = None,
+        on_event: See | None = None,
+    ) -> Weighing | Job:
         """Waits until a weighing has ended or a job has succeeded, and returns it.
 
         Raises:

@@ -47,7 +47,8 @@ def pandas_of(records: Iterable[Record]) -> pandas.DataFrame:
     """
     import pandas
 
-    return pandas.DataFrame(columns(records))
+    frame: pandas.DataFrame = pandas.DataFrame(columns(records))
+    return frame
 
 
 def arrow_of(records: Iterable[Record]) -> pyarrow.Table:
@@ -58,7 +59,8 @@ def arrow_of(records: Iterable[Record]) -> pyarrow.Table:
     """
     import pyarrow
 
-    return pyarrow.table(columns(records))
+    table: pyarrow.Table = pyarrow.table(columns(records))
+    return table
 
 
 class Listing(Generic[R]):

@@ -14,7 +14,7 @@ Example:
 **Action**: two numbers in -1..1: the change of the pitch (times 8 degrees) and the shake's amplitude (0 to 16 mm).
 
 **Observation**: the inputs of a policy's network by the preset's encoding: `fall` (6 numbers) of the preset `flip`,
-`paper` (3) of the preset `paper`; also `missing` (4) and `fall_and_repose` (7). docs/learning.md has their formulas.
+`paper` (3) of the preset `paper`; also `missing` (4) and `fall_and_repose` (7). docs/how-to/python.md has the formulas.
 
 **Reward**: the preset's training reward for the *true* mass in the vial, mg. For `paper` it is the published one,
 `D = -|target - true|`, plus 1 within 1 mg. For `flip` an overdose of more than 1 mg counts twice, and an early ending
@@ -139,16 +139,18 @@ _Arrays = tuple[
     NDArray[np.float32],
     NDArray[np.float64],
 ]
-_MASKS = tuple((name, f"_{name}") for name in _native.FACTS)
+_FACTS = tuple(_native.FACTS)
+_F32, _F64, _BOOL = np.dtype(np.float32), np.dtype(np.float64), np.dtype(np.bool_)
 
 
-def _infos(facts: NDArray[np.float64], mask: NDArray[np.bool_]) -> dict[str, Any]:
+def _masks(mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """The mask of every fact."""
+    return {f"_{name}": mask for name in _FACTS}
+
+
+def _infos(facts: NDArray[np.float64], masks: dict[str, Any]) -> dict[str, Any]:
     """Facts as Gymnasium's vector environments have them: an array and a mask for each."""
-    infos: dict[str, Any] = {}
-    for (name, masked), column in zip(_MASKS, facts.T, strict=True):
-        infos[name] = column
-        infos[masked] = mask
-    return infos
+    return {**masks, **dict(zip(_FACTS, facts.T, strict=True))}
 
 
 class _Doses:
@@ -174,19 +176,20 @@ class _Doses:
             self.native.set_level(level)
         self.count, self.width = count, self.native.width
         self.last_inputs = np.zeros((count, self.width), np.float32)
-        self.last_facts = np.zeros((count, len(_native.FACTS)), np.float64)
+        self.last_facts = np.zeros((count, len(_FACTS)), np.float64)
+        self._inputs_shape, self._facts_shape = self.last_inputs.shape, self.last_facts.shape
         self.arrays = self.fresh()
 
     def fresh(self) -> _Arrays:
         """Arrays for the results of a step: observations, rewards, terminated, truncated, facts, and the last
         observations and facts of episodes that ended, which are the same ones each time."""
-        count = self.count
+        empty, count = np.empty, self.count
         return (
-            np.empty((count, self.width), np.float32),
-            np.empty(count, np.float64),
-            np.empty(count, np.bool_),
-            np.empty(count, np.bool_),
-            np.empty((count, len(_native.FACTS)), np.float64),
+            empty(self._inputs_shape, _F32),
+            empty(count, _F64),
+            empty(count, _BOOL),
+            empty(count, _BOOL),
+            empty(self._facts_shape, _F64),
             self.last_inputs,
             self.last_facts,
         )
@@ -225,7 +228,7 @@ class FlipWeighEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         particles: grains in the simulator's spoon; default 2500, about 37 mg.
         extensions: amplitudes of mechanisms added to the simulator (`flip_powder.sim.EXTENSIONS`).
         box_share: share of episodes with a powder from the whole box, where there are levels; default the preset's.
-        settings: any other setting of a training by its name in `docs/reference/settings.md`, nested as there:
+        settings: any other setting of a training by its name, nested as in the property `settings`, which has them all:
             `{"balance": {"noise_mg": 0.2}, "overdose_factor": 1.0}`.
         render_mode: None; there is no other.
 
@@ -298,7 +301,7 @@ class FlipWeighEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return observations[0].copy(), float(rewards[0]), *ends, self._info()
 
     def _info(self) -> dict[str, Any]:
-        return dict(zip(_native.FACTS, self._doses.arrays[4][0].tolist(), strict=True))
+        return dict(zip(_FACTS, self._doses.arrays[4][0].tolist(), strict=True))
 
 
 class FlipWeighVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -353,7 +356,7 @@ class FlipWeighVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         self.single_observation_space, self.single_action_space = self._doses.spaces()
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
-        self._all = np.ones(num_envs, np.bool_)
+        self._all = _masks(np.ones(num_envs, np.bool_))
         self._seeded = False
 
     @property
@@ -393,7 +396,7 @@ class FlipWeighVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         self._doses.choose(given)
         arrays = self._doses.fresh() if self.copy else self._doses.arrays
         self._doses.native.reset(mask, seeds, arrays)
-        return arrays[0], _infos(arrays[4], self._all if mask is None else mask)
+        return arrays[0], _infos(arrays[4], self._all if mask is None else _masks(mask))
 
     def step(
         self, actions: NDArray[np.float32]
@@ -418,7 +421,7 @@ class FlipWeighVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return {
             "final_obs": observations,
             "_final_obs": ended,
-            "final_info": _infos(self._doses.last_facts.copy(), ended),
+            "final_info": _infos(self._doses.last_facts.copy(), _masks(ended)),
             "_final_info": ended,
         }
 

@@ -143,7 +143,7 @@ def _values(given: Set) -> tuple[float, ...]:
 
 
 def _settings(extensions: Mapping[str, float] | None, settings: Mapping[str, Any] | None, **more: Any) -> str:
-    """Settings as JSON, under the names that `docs/reference/settings.md` lists."""
+    """Settings as JSON, under the names of the Rust code."""
     merged = {name: it for name, it in more.items() if it is not None} | dict(settings or {})
     return json.dumps(merged | ({"extensions": checked_extensions(extensions)} if extensions else {}))
 

@@ -166,12 +166,15 @@ fn targets_levels_and_spoons_of_the_simulator_are_as_asked_for() {
     let mut doses = Lockstep::new(2, from, mode, &levels, &settings).unwrap();
     let mut seen = Results::of(&doses);
     doses.set_level(1).unwrap();
-    doses.set_target_mg(Some(4.0)).unwrap();
+    // More than 600 grains weigh, so that no dose ends early.
+    doses.set_target_mg(Some(14.0)).unwrap();
     assert!(doses.set_level(2).is_err() && doses.set_target_mg(Some(-1.0)).is_err());
     doses.reset(None, &[Some(1), Some(1)], seen.rows());
-    assert_eq!((seen.fact("target_mg", 0), seen.fact("level", 1)), (4.0, 1.0));
+    assert_eq!((seen.fact("target_mg", 0), seen.fact("level", 1)), (14.0, 1.0));
     let friction = doses.parameters()[0][4];
     assert!((friction - 0.9 / 1.3).abs() < 1e-6, "levels go from flat to steep");
+    doses.set_level(0).unwrap();
+    doses.reset(None, &[Some(1), Some(1)], seen.rows());
     (0..4).for_each(|_| doses.step(&[[1.0, 1.0]; 2], seen.rows()).unwrap());
     assert!(seen.fact("true_mg", 0) > 0.0);
     assert_eq!(seen.fact("true_mg", 0), seen.fact("true_mg", 1), "the same seed is the same dose");
