@@ -20,7 +20,7 @@ ROOT = pathlib.Path(__file__).resolve().parent.parent
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 LOGS = ROOT / "target/test"
 # Examples are compiled by `make lint`.
-CARGO = ["cargo", "test", "--release", "--locked", "--workspace", "--exclude", "flip-experiments", "--lib", "--bins", "--tests"]
+CARGO = ["cargo", "test", "--release", "--locked", "--workspace", "--exclude", "flip-experiments", "--exclude", "flip-python", "--lib", "--bins", "--tests"]
 
 # Suites that only compute, the longest first.
 COMPUTE = ["physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_policy", "flip_core"]
