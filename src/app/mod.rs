@@ -1,6 +1,7 @@
 //! Everything FLIP can do, in plain Rust. REST, gRPC, the command line and the demonstration all
 //! call this.
 
+mod agent;
 mod archive;
 mod asked;
 mod asm;

@@ -5,6 +5,7 @@
 //! a message is that of its event, so whoever gets one twice knows it. A message is repeated until it
 //! is accepted; how far an address has been told is stored, so that a restart loses none.
 
+use super::agent::agent;
 use super::check::Check;
 use super::{App, Error, Result};
 use base64::Engine;
@@ -14,13 +15,11 @@ use flip_store::webhooks::{Webhook, WebhookRow};
 use rand::TryRng;
 use rand::rngs::SysRng;
 use ring::hmac;
-use rustls::crypto::ring as tls;
 use serde::{Deserialize, Serialize};
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
 use std::time::Duration;
 use ureq::Agent;
 use ureq::http::Uri;
-use ureq::tls::{RootCerts, TlsConfig};
 
 /// Most webhooks.
 const WEBHOOKS_MAX: usize = 20;
@@ -35,21 +34,7 @@ pub struct NewWebhook {
     pub url: String,
 }
 
-static AGENT: LazyLock<Agent> = LazyLock::new(|| {
-    let tls = TlsConfig::builder()
-        .root_certs(RootCerts::PlatformVerifier)
-        .unversioned_rustls_crypto_provider(Arc::new(tls::default_provider()))
-        .build();
-    // A redirect could lead anywhere, so none is followed.
-    Agent::config_builder()
-        .timeout_global(Some(ANSWER_MAX))
-        .http_status_as_error(false)
-        .max_redirects(0)
-        .max_redirects_will_error(false)
-        .tls_config(tls)
-        .build()
-        .new_agent()
-});
+static AGENT: LazyLock<Agent> = LazyLock::new(|| agent(ANSWER_MAX));
 
 impl App {
     /// Adds a webhook; returns it, and the secret that its messages are signed with, which is shown

@@ -1,20 +1,18 @@
 //! What FLIP asks a provider: what it offers, a person's ID token, and the keys that signed it.
 
+use super::super::agent::agent;
 use super::super::{Error, Result};
 use super::OidcSettings;
 use super::id_token::{self, Person};
 use base64::Engine;
 use base64::engine::general_purpose::{STANDARD, URL_SAFE_NO_PAD};
-use rustls::crypto::ring;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
 use ureq::Agent;
 use ureq::http::header;
-use ureq::tls::{RootCerts, TlsConfig};
 
 /// How long one request to the provider may take.
 const ANSWER_MAX: Duration = Duration::from_secs(10);
@@ -45,19 +43,7 @@ pub(super) struct Provider {
 
 impl Provider {
     pub(super) fn new(settings: OidcSettings) -> Self {
-        let tls = TlsConfig::builder()
-            .root_certs(RootCerts::PlatformVerifier)
-            .unversioned_rustls_crypto_provider(Arc::new(ring::default_provider()))
-            .build();
-        // A redirect could lead anywhere, so none is followed.
-        let agent = Agent::config_builder()
-            .timeout_global(Some(ANSWER_MAX))
-            .http_status_as_error(false)
-            .max_redirects(0)
-            .max_redirects_will_error(false)
-            .tls_config(tls)
-            .build()
-            .new_agent();
+        let agent = agent(ANSWER_MAX);
         let host = settings.issuer.split('/').nth(2).unwrap_or_default().to_owned();
         Self { settings, host, agent, asked: Mutex::default() }
     }
