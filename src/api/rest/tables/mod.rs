@@ -185,7 +185,7 @@ enum Ahead {
 
 enum Writer {
     Csv { header: bool },
-    Arrow(Option<ArrowFile>),
+    Arrow(Option<Box<ArrowFile>>),
 }
 
 impl Table {
@@ -198,10 +198,12 @@ impl Table {
         let first = pages.get(None).await?;
         let writer = match format {
             Format::Csv => Writer::Csv { header: true },
-            Format::Arrow => Writer::Arrow(Some(ArrowFile::new(&columns).map_err(|error| {
-                tracing::error!(%error, "a list has no Arrow schema");
-                Problem::internal().into_response()
-            })?)),
+            Format::Arrow => {
+                Writer::Arrow(Some(ArrowFile::new(&columns).map(Box::new).map_err(|error| {
+                    tracing::error!(%error, "a list has no Arrow schema");
+                    Problem::internal().into_response()
+                })?))
+            }
         };
         let path = pages.parts.uri.path().trim_end_matches('/').to_owned();
         let name = path.rsplit('/').next().unwrap_or("list").trim_end_matches(".json");
@@ -258,7 +260,7 @@ impl Writer {
         match self {
             Self::Csv { .. } => Ok(Vec::new()),
             Self::Arrow(file) => {
-                Ok(file.take().map(ArrowFile::finish).transpose()?.unwrap_or_default())
+                Ok(file.take().map(|file| file.finish()).transpose()?.unwrap_or_default())
             }
         }
     }
