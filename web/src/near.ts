@@ -13,8 +13,9 @@ export function putNear(box: HTMLElement, button: HTMLElement): void {
   const below = height - bottom - GAP - EDGE
   const above = top - GAP - EDGE
   const under = below >= ENOUGH || below >= above
-  box.style.top = under ? `${bottom + scrollY + GAP}px` : 'auto'
-  box.style.bottom = under ? 'auto' : `${height - top - scrollY + GAP}px`
+  // Counted from the top in both cases: what `bottom` is counted from grows with the page.
+  box.style.top = `${scrollY + (under ? bottom + GAP : top - GAP)}px`
+  box.style.translate = under ? 'none' : '0 -100%'
   box.style.maxHeight = `${Math.max(under ? below : above, 120)}px`
   // It hangs from the side of the button that has more room on its other side.
   const leftwards = right > width / 2
