@@ -178,10 +178,10 @@ fn waits(query: &str) -> bool {
     form_urlencoded::parse(query.as_bytes()).any(|(key, _)| key == "wait")
 }
 
-/// Whether the response grows with the whole history.
 /// Where people without a token send something.
 const LOG_IN: &str = "/v1/login/finish";
 
+/// Whether the response grows with the whole history.
 fn is_long(path: &str) -> bool {
     const LONG: [&str; 5] = [
         "/v1/audit.json",
