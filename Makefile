@@ -160,12 +160,12 @@ check: setup
 	cargo fmt --all --check
 	python3 .ci/deny.py
 	python3 .ci/repeats.py
-	cargo build --release --locked --bin flip
-	python3 .ci/readme.py "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
-	cargo clippy --release --locked --workspace --all-targets -- -D warnings
+	cargo build --locked --bin flip
+	python3 .ci/readme.py "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/debug/flip"
+	cargo clippy --locked --workspace --all-targets -- -D warnings
 
 lint: setup
 	cargo fmt --all --check
-	cargo clippy --release --locked --workspace --all-targets -- -D warnings
-	cargo doc --release --locked --workspace --no-deps --document-private-items
+	cargo clippy --locked --workspace --all-targets -- -D warnings
+	cargo doc --locked --workspace --no-deps --document-private-items
 	python3 .ci/deny.py

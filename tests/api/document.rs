@@ -26,7 +26,7 @@ fn the_committed_document_is_the_one_the_code_makes() {
     let committed = std::fs::read_to_string(COMMITTED).unwrap_or_default();
     assert!(
         committed == made,
-        "web/openapi.json is out of date: UPDATE=1 cargo test --release --test api document"
+        "web/openapi.json is out of date: UPDATE=1 cargo test --test api document"
     );
 }
 
@@ -40,7 +40,7 @@ fn the_page_has_the_names_that_the_code_has() {
     let committed = std::fs::read_to_string(file).unwrap_or_default();
     assert!(
         committed == made,
-        "web/src/names.json is out of date: UPDATE=1 cargo test --release --test api document"
+        "web/src/names.json is out of date: UPDATE=1 cargo test --test api document"
     );
 }
 

@@ -7,10 +7,12 @@ import uuid
 
 from service import HERE, POWDER, Service, environment
 
+WEBHOOKS = ("standardwebhooks", "standardwebhooks==1.1.0")
+
 
 class Webhooks(unittest.TestCase):
     def test_the_end_of_a_dose_is_told_and_verified(self):
-        python = environment("standardwebhooks", "standardwebhooks==1.1.0")
+        python = environment(*WEBHOOKS)
         with Service.ready() as service:
             command = [python, str(HERE / "with_standard_webhooks.py")]
             receiver = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
