@@ -19,6 +19,7 @@ mod discover;
 mod doctor;
 mod emulate;
 mod evaluate;
+mod export;
 mod failure;
 mod film;
 mod health;
@@ -136,6 +137,8 @@ enum Command {
     Bench(bench::Arguments),
     /// The bench's audit trail: verify it, export it, print certificates.
     Audit(audit::Arguments),
+    /// Write every list into tables that other programs read, even while a server runs.
+    Export(export::Arguments),
     /// Copy the whole data folder; works while a server runs.
     Backup(backup::Arguments),
     /// Restore a data folder from a backup.
@@ -213,6 +216,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Bench(arguments) => bench::run(common, arguments),
         Command::Emulate(arguments) => emulate::run(common, arguments),
         Command::Audit(arguments) => audit::run(common, arguments),
+        Command::Export(arguments) => export::run(common, arguments),
         Command::Backup(arguments) => backup::run(common, arguments),
         Command::Restore(arguments) => backup::run_restore(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),

@@ -1,8 +1,8 @@
-//! `flip policy`: lists policies, shows one, exports one, and gets one's next action.
+//! `flip policy`: lists policies, shows one, exports and imports one, and gets one's next action.
 
 use super::Common;
 use super::failure::Failure;
-use super::session::with_reader;
+use super::session::{beside, with_reader};
 use super::table::table;
 use crate::app::{Done, Driver, Driving, Observation, PageQuery, Policy, Proposal};
 use flip_core::domain::FieldError;
@@ -42,6 +42,13 @@ enum PolicyCommand {
         /// File to write.
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
+    },
+    /// Import a policy that was trained elsewhere, to evaluate it and to weigh with it.
+    Import {
+        /// Policy file: safetensors with a manifest, as `flip policy export` and the Python package
+        /// write it.
+        #[arg(long, value_name = "FILE")]
+        file: PathBuf,
     },
     /// Get a policy's next action, to drive a robot of your own. Nothing moves; libtorch is not
     /// needed.
@@ -115,6 +122,15 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
                 serde_json::json!({ "policy": policy, "out": out, "size_bytes": bytes.len() });
             common.print(&document, || {
                 format!("{policy} written to {}, {} bytes", out.display(), bytes.len())
+            })
+        }
+        PolicyCommand::Import { file } => {
+            let bytes = std::fs::read(file).map_err(|error| file_error("file", file, &error))?;
+            let (policy, is_new) =
+                beside(common, async |app| Ok(app.import_policy("file", &bytes).await?))?;
+            common.print(&policy, || match is_new {
+                true => format!("{} imported, {} bytes", policy.id, policy.size_bytes),
+                false => format!("{} was known already", policy.id),
             })
         }
         PolicyCommand::Infer(infer) => infer.run(common),

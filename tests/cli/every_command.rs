@@ -3,7 +3,7 @@
 use crate::harness::{document, expect_status, flip, stderr};
 use serde_json::Value;
 
-const COMMANDS: [&str; 25] = [
+const COMMANDS: [&str; 26] = [
     "serve",
     "demo",
     "repose",
@@ -23,6 +23,7 @@ const COMMANDS: [&str; 25] = [
     "film",
     "jobs",
     "token",
+    "export",
     "backup",
     "restore",
     "doctor",

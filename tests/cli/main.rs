@@ -7,6 +7,7 @@ mod config;
 mod discover;
 mod doctor;
 mod every_command;
+mod export;
 mod film;
 mod harness;
 mod measurements;

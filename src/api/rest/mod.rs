@@ -23,7 +23,7 @@ mod powders;
 mod repose;
 mod shakes;
 mod simulators;
-mod tables;
+pub mod tables;
 mod tokens;
 mod trainings;
 mod wait;
@@ -161,6 +161,7 @@ fn large_routes() -> OpenApiRouter<App> {
         .routes(routes!(shakes::import_shakes))
         .routes(routes!(investigations::start_investigation))
         .routes(routes!(simulators::predict))
+        .routes(routes!(policies::import_policy))
         .layer(DefaultBodyLimit::max(extract::LARGE_BYTES_MAX))
         .layer(GlobalConcurrencyLimitLayer::new(LARGE_AT_ONCE))
 }

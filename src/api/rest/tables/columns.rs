@@ -29,7 +29,26 @@ pub enum Kind {
     Json,
 }
 
+impl Kind {
+    /// As a word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Number => "number",
+            Self::Integer => "integer",
+            Self::Truth => "boolean",
+            Self::Time => "time",
+            Self::Text => "text",
+            Self::Json => "json",
+        }
+    }
+}
+
 impl Column {
+    /// The column of a field of the item itself.
+    pub fn at_top(name: &str, kind: Kind) -> Self {
+        Self { name: name.to_owned(), path: vec![name.to_owned()], kind }
+    }
+
     /// The value of an item in this column; `Null` where it has none.
     pub fn of<'a>(&self, item: &'a Value) -> &'a Value {
         self.path.iter().fold(item, |inside, name| &inside[name.as_str()])

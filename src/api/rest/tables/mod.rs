@@ -6,6 +6,7 @@
 
 mod arrow;
 mod columns;
+pub mod export;
 
 use crate::api::problem::Problem;
 use arrow::ArrowFile;
@@ -32,8 +33,10 @@ static DOCUMENT: LazyLock<Value> =
 
 /// What lists can be besides JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
+pub enum Format {
+    /// Comma-separated text with a header.
     Csv,
+    /// An Arrow IPC file.
     Arrow,
 }
 
@@ -196,15 +199,10 @@ impl Table {
         format: Format,
     ) -> Result<Response, Response> {
         let first = pages.get(None).await?;
-        let writer = match format {
-            Format::Csv => Writer::Csv { header: true },
-            Format::Arrow => {
-                Writer::Arrow(Some(ArrowFile::new(&columns).map(Box::new).map_err(|error| {
-                    tracing::error!(%error, "a list has no Arrow schema");
-                    Problem::internal().into_response()
-                })?))
-            }
-        };
+        let writer = Writer::begin(format, &columns).map_err(|error| {
+            tracing::error!(%error, "a list has no Arrow schema");
+            Problem::internal().into_response()
+        })?;
         let path = pages.parts.uri.path().trim_end_matches('/').to_owned();
         let name = path.rsplit('/').next().unwrap_or("list").trim_end_matches(".json");
         let name = format!("attachment; filename=\"{name}.{}\"", format.extension());
@@ -239,6 +237,13 @@ impl Table {
 }
 
 impl Writer {
+    fn begin(format: Format, columns: &[Column]) -> Result<Self, axum::BoxError> {
+        Ok(match format {
+            Format::Csv => Self::Csv { header: true },
+            Format::Arrow => Self::Arrow(Some(Box::new(ArrowFile::new(columns)?))),
+        })
+    }
+
     fn rows(&mut self, columns: &[Column], rows: &[Value]) -> Result<Vec<u8>, axum::BoxError> {
         match self {
             Self::Csv { header } => {
