@@ -287,6 +287,17 @@ class AsyncClient:
         """Policies."""
         return self._list("/v1/policies", filters, Policy.of)
 
+    async def import_policy(self, file: bytes) -> Policy:
+        """Stores a policy that was trained elsewhere, to evaluate it and to weigh with it.
+
+        Args:
+            file: safetensors with a manifest, as :func:`flip_powder.env.policy_file` makes them.
+        """
+        headers = {"content-type": "application/octet-stream"}
+        request = Request("POST", "/v1/policies", body=file, headers=headers)
+        # The id is the file's content: sending it again stores nothing twice.
+        return Policy.of((await self._run(_flow.send(request, self._retries))).json())
+
     def parameter_sets(self, **filters: Any) -> AsyncListing[CalibratedSet]:
         """Calibrated parameter sets."""
         return self._list("/v1/parameter-sets", filters, CalibratedSet.of)

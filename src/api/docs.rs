@@ -16,6 +16,7 @@ struct Files;
 pub fn answer(path: &str) -> Option<Response> {
     match path {
         "docs" => Some(moved("/docs/")),
+        "docs/api" => Some(moved("/docs/reference/rest.html")),
         path => path.strip_prefix("docs/").map(|file| file_of(file, Files::get)),
     }
 }
@@ -59,6 +60,10 @@ mod tests {
         }
         assert_eq!(file_of("tutorials/none.html", built).status(), StatusCode::NOT_FOUND);
         assert_eq!(answer("docs").unwrap().headers()[header::LOCATION], "/docs/");
+        assert_eq!(
+            answer("docs/api").unwrap().headers()[header::LOCATION],
+            "/docs/reference/rest.html"
+        );
         assert!(answer("documents").is_none() && answer("weighings/docs/").is_none());
     }
 

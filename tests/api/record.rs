@@ -1,6 +1,6 @@
 //! The record against tampering with its subject: rows by SQL, files by hand.
 
-use crate::harness::{Service, problem};
+use crate::harness::{Service, fields, problem};
 use crate::toy::database;
 use flip::app::Role;
 use serde_json::{Value, json};
@@ -305,6 +305,53 @@ async fn a_damaged_policy_is_lost_by_name_and_the_list_goes_on() {
         tonic::Request::new(flip::api::grpc::proto::DownloadWeightsRequest { id: id.to_owned() });
     request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
     assert_eq!(client.download_weights(request).await.unwrap_err().code(), tonic::Code::DataLoss);
+}
+
+#[tokio::test]
+async fn a_policy_trained_elsewhere_is_stored_under_its_own_id() {
+    use flip::api::grpc::proto::{ImportPolicyRequest, policies_client::PoliciesClient};
+    let (service, elsewhere) = (Service::ready().await, Service::ready().await);
+    let gains = flip_policy::Gains { p: 0.1, i: 0.0, d: 0.0 };
+    let pid = flip_policy::Pid { incline: gains, shake: gains };
+    let policy = flip_policy::Policy {
+        manifest: flip_policy::Manifest::of_untrained(
+            flip_policy::Kind::Pid { gains: pid },
+            flip_policy::Rules::FLIP,
+            0,
+        ),
+        controller: flip_policy::Controller::Pid(pid),
+    };
+    let file = flip_policy::encode(&policy);
+    let post = async |kind: &str, body: Vec<u8>| {
+        let token = service.token(Role::Operator).await;
+        let request = service.request("POST", "/v1/policies").bearer_auth(token);
+        request.header("content-type", kind).body(body).send().await.unwrap()
+    };
+    let first = post("application/octet-stream", file.clone()).await;
+    assert_eq!(first.status(), 201);
+    let stored: Value = first.json().await.unwrap();
+    assert_eq!(stored["id"], flip_policy::id(&file).as_str());
+    assert_eq!(post("application/octet-stream", file.clone()).await.status(), 200);
+    let weights = format!("/v1/policies/{}/weights", flip_policy::id(&file));
+    assert_eq!(service.get(&weights).await.bytes().await.unwrap(), file);
+
+    problem(post("application/json", file.clone()).await, 415).await;
+    let mut damaged = file.clone();
+    damaged.truncate(file.len() / 2);
+    let refused = problem(post("application/octet-stream", damaged).await, 400).await;
+    assert_eq!(fields(&refused), ["file"]);
+
+    let token = elsewhere.token(Role::Operator).await;
+    let mut client = PoliciesClient::connect(elsewhere.url("")).await.unwrap();
+    for file in [file, b"no policy".to_vec()] {
+        let valid = file.len() > 20;
+        let mut request = tonic::Request::new(ImportPolicyRequest { file });
+        request.metadata_mut().insert("authorization", format!("Bearer {token}").parse().unwrap());
+        match client.import_policy(request).await {
+            Ok(policy) => assert!(valid && policy.into_inner().id == stored["id"]),
+            Err(status) => assert!(!valid && status.message().contains("file"), "{status}"),
+        }
+    }
 }
 
 #[tokio::test]

@@ -112,6 +112,30 @@ fn a_policy_out_of_a_file_answers_once_with_its_history_or_line_by_line() {
 }
 
 #[test]
+fn a_policy_trained_elsewhere_is_imported_once() {
+    let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let file = policy_file(elsewhere.path());
+    let import = || flip(folder.path(), &["policy", "import", "--file", &file, "--json"]);
+    let policy = document(&import());
+    let id = policy["id"].as_str().unwrap();
+    assert_eq!((&policy["kind"], &policy["training"]), (&json!("pid"), &Value::Null));
+    assert_eq!(document(&import()), policy);
+    let out = folder.path().join("out.safetensors");
+    let export = ["policy", "export", "--policy", id, "--out", out.to_str().unwrap()];
+    expect_status(&flip(folder.path(), &export), 0);
+    assert_eq!(std::fs::read(&out).unwrap(), std::fs::read(&file).unwrap());
+    let record = flip(folder.path(), &["audit", "export"]);
+    let deeds = String::from_utf8(record.stdout).unwrap();
+    assert_eq!(deeds.matches("policy imported").count(), 1, "{deeds}");
+
+    let text = folder.path().join("text.safetensors");
+    std::fs::write(&text, "no policy").unwrap();
+    let refused = flip(folder.path(), &["policy", "import", "--file", text.to_str().unwrap()]);
+    expect_status(&refused, 2);
+    assert!(stderr(&refused).contains("file: this is not a safetensors file"));
+}
+
+#[test]
 fn bytes_that_are_no_policy_and_numbers_that_no_bench_shows_are_refused_by_field() {
     let folder = tempfile::tempdir().unwrap();
     let file = policy_file(folder.path());

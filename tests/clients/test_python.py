@@ -78,6 +78,11 @@ def snippets(heading):
     return re.findall(r"^```python\n(.*?)^```", section[1], re.M | re.S)
 
 
+def readme():
+    """The blocks of Python in the README: one that weighs, one that trains."""
+    return re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.M | re.S)
+
+
 def run(program, code, *arguments, **environment):
     """Runs a snippet, or a file, in a folder of its own; what it printed."""
     with tempfile.TemporaryDirectory() as folder:
@@ -158,6 +163,8 @@ class Client(unittest.TestCase):
             self.assertRegex(run(self.python, ten, **where), r"^(within|under|over) \d+\.\d mg\n")
             self.assertIn("within", run(self.python, both, **where))
             self.assertIn("error_mg", run(self.python, table, **where))
+            self.assertLessEqual(len(readme()[0].splitlines()), 10)
+            self.assertRegex(run(self.python, readme()[0], **where), r"^(within|under|over) \d+\.\d")
             example = run(self.python, str(ROOT / "python/examples/weigh.py"), **where)
             self.assertIn("reading_mg", example)
 
@@ -238,6 +245,11 @@ class Learners(unittest.TestCase):
         code = snippets("Train")[0]
         self.assertLessEqual(len([line for line in code.splitlines() if line]), 20)
         self.assertRegex(run(learner(), code), r"mean absolute error \d+\.\d+ mg")
+        code = readme()[1]
+        self.assertLessEqual(len(code.splitlines()), 20)
+        short = code.replace("20_000", "400")
+        self.assertNotEqual(short, code)
+        self.assertRegex(run(learner(), short), r"^\d+\.\d\d mg")
 
     def test_the_examples_train_and_the_policy_acts_in_flip(self):
         program = learner()

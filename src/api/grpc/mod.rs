@@ -97,7 +97,7 @@ pub fn router(app: App, closing: CancellationToken) -> Router {
         .add_service(limited!(PowdersServer))
         .add_service(limited!(CalibrationsServer))
         .add_service(limited!(TrainingsServer))
-        .add_service(limited!(PoliciesServer))
+        .add_service(limited!(PoliciesServer, LARGE_BYTES_MAX))
         .add_service(limited!(EvaluationsServer))
         .add_service(limited!(InvestigationsServer, LARGE_BYTES_MAX))
         .add_service(limited!(SimulatorsServer, LARGE_BYTES_MAX))

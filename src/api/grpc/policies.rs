@@ -2,7 +2,7 @@
 
 use super::convert::{all, page};
 use super::proto::*;
-use super::{Service, read};
+use super::{Service, read, write};
 use futures::StreamExt;
 use futures::stream::{self, BoxStream};
 use tonic::{Request, Response, Status};
@@ -26,6 +26,14 @@ impl policies_server::Policies for Service {
         request: Request<GetPolicyRequest>,
     ) -> Result<Response<Policy>, Status> {
         let found = self.app.policy(&read(request)?.id).await?;
+        Ok(Response::new(self.app.labelled(found).await?.into()))
+    }
+
+    async fn import_policy(
+        &self,
+        request: Request<ImportPolicyRequest>,
+    ) -> Result<Response<Policy>, Status> {
+        let (found, _) = self.app.import_policy("file", &write(request)?.file).await?;
         Ok(Response::new(self.app.labelled(found).await?.into()))
     }
 

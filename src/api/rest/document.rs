@@ -3,9 +3,12 @@
 use super::extract::{BODY_BYTES_MAX, LARGE_BYTES_MAX};
 use super::tables;
 use crate::api::problem::{CONTENT_TYPE, Problem};
-use crate::api::wire::{Labelled, Powder};
+use crate::api::wire::{Event, Labelled, Powder};
+use std::collections::BTreeMap;
 use utoipa::openapi::path::{Operation, ParameterBuilder, ParameterIn, PathItem};
-use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, Type};
+use utoipa::openapi::schema::{
+    ArrayBuilder, Discriminator, KnownFormat, ObjectBuilder, Schema, SchemaFormat, Type,
+};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{ContentBuilder, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
@@ -21,7 +24,8 @@ const TOKEN: &str = "token";
             Every refusal is an RFC 9457 problem that names the fields at fault."
     ),
     // Of generic bodies within generic bodies only the outer one is found.
-    components(schemas(Problem, Labelled<Powder>)),
+    components(schemas(Problem, Labelled<Powder>, Event)),
+    servers((url = "/", description = "Where this document came from")),
     tags(
         (name = "powders", description = "Real powders and their measured flowability"),
         (name = "shakes", description = "What spoons let fall, shake by shake: of weighings, and imported"),
@@ -32,6 +36,8 @@ const TOKEN: &str = "token";
         (name = "evaluations", description = "A policy's errors on the simulated bench"),
         (name = "investigations", description = "What the simulator gets wrong, and why"),
         (name = "weighings", description = "Doses of powder"),
+        (name = "bench", description = "The robot, its balance and its spoon: what it does, and whether it may be used"),
+        (name = "audit", description = "The record of what was done, by whom, in a chain of hashes"),
         (name = "jobs", description = "Long computations: follow, cancel, start again"),
         (name = "labels", description = "Names, notes and tags of everything, and what lists hide"),
         (name = "films", description = "What the grains of a weighing or a heap did, made again by the simulator"),
@@ -67,6 +73,7 @@ pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi 
         for (safe, operation) in operations(item) {
             operation.security = Some(security(safe));
             let has_body = operation.request_body.is_some();
+            type_bodies(operation);
             let refuse = |operation: &mut Operation, status: &str, meaning: &str| {
                 operation
                     .responses
@@ -106,8 +113,63 @@ pub fn complete(mut document: OpenApi, large: impl Fn(&str) -> bool) -> OpenApi 
         }
     }
     name_items(&mut document);
+    name_variants(&mut document);
     offer_tables(&mut document);
     document
+}
+
+/// Types what is not JSON as clients' generators expect it: files as binary, streams as text.
+fn type_bodies(operation: &mut Operation) {
+    let responses = operation.responses.responses.values_mut().filter_map(|it| match it {
+        RefOr::T(response) => Some(&mut response.content),
+        RefOr::Ref(_) => None,
+    });
+    let request = operation.request_body.iter_mut().filter_map(|it| match it {
+        RefOr::T(body) => Some(&mut body.content),
+        RefOr::Ref(_) => None,
+    });
+    let responses = responses.flat_map(|content| content.iter_mut());
+    for (kind, content) in responses.chain(request.flat_map(|content| content.iter_mut())) {
+        let RefOr::T(content) = content else { continue };
+        let format = match kind.as_str() {
+            "application/octet-stream" => Some(SchemaFormat::KnownFormat(KnownFormat::Binary)),
+            "text/event-stream" => None,
+            _ => continue,
+        };
+        let text = ObjectBuilder::new().schema_type(Type::String).format(format).build();
+        content.schema = Some(RefOr::T(Schema::Object(text)));
+    }
+}
+
+/// Gives each variant of a union, which utoipa would inline, a schema under its title, and tells
+/// which property tells them apart.
+fn name_variants(document: &mut OpenApi) {
+    let schemas = &mut document.components.get_or_insert_default().schemas;
+    let mut named = Vec::new();
+    for schema in schemas.values_mut() {
+        let RefOr::T(Schema::OneOf(union)) = schema else { continue };
+        let mut mapping = BTreeMap::new();
+        let mut tag = None;
+        for item in &mut union.items {
+            let RefOr::T(Schema::Object(variant)) = item else { continue };
+            let Some(title) = variant.title.clone() else { continue };
+            let tagged = variant.properties.iter().find_map(|(property, schema)| match schema {
+                RefOr::T(Schema::Object(values)) => {
+                    let only = values.enum_values.as_deref()?;
+                    let [serde_json::Value::String(value)] = only else { return None };
+                    Some((property.clone(), value.clone()))
+                }
+                _ => None,
+            });
+            let Some((property, value)) = tagged else { continue };
+            let reference = Ref::from_schema_name(&title);
+            mapping.insert(value, reference.ref_location.clone());
+            tag = Some(property);
+            named.push((title, std::mem::replace(item, RefOr::Ref(reference))));
+        }
+        union.discriminator = tag.map(|tag| Discriminator::with_mapping(tag, mapping));
+    }
+    schemas.extend(named);
 }
 
 /// Says of each list that it can be a table.

@@ -24,8 +24,10 @@ pub fn bytes_max(path: &str) -> usize {
         "/flip.v1.Investigations/",
         "/flip.v1.Simulators/",
         "/flip.v1.Shakes/",
+        "/flip.v1.Policies/",
     ];
-    let tables = ["/v1/measurements/import", "/v1/shakes/import", "/v1/investigations"];
+    let tables =
+        ["/v1/measurements/import", "/v1/shakes/import", "/v1/investigations", "/v1/policies"];
     let of_things = ["/frames", "/predictions"];
     let is_large = services.iter().any(|service| path.starts_with(service))
         || tables.contains(&path)
@@ -67,6 +69,18 @@ impl<S: Send + Sync> FromRequest<S> for Csv {
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
         let bytes = body(request, state, "text/csv", LARGE_BYTES_MAX).await?;
         Ok(Self(table_text(&bytes)?))
+    }
+}
+
+/// A file as the body.
+#[derive(Debug)]
+pub struct Octets(pub Bytes);
+
+impl<S: Send + Sync> FromRequest<S> for Octets {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
+        Ok(Self(body(request, state, "application/octet-stream", LARGE_BYTES_MAX).await?))
     }
 }
 

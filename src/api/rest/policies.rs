@@ -1,15 +1,15 @@
 //! `/v1/policies`: trained policies, and their files.
 
 use super::answer;
-use super::extract::{Path, Query};
+use super::extract::{Octets, Path, Query};
 use super::list::{LabelledParams, respond};
-use crate::api::auth::Viewer;
+use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{Labelled, Page, Policy};
 use crate::app::App;
 use axum::Json;
 use axum::extract::{OriginalUri, State};
-use axum::http::header;
+use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 /// Cache policy of a file that never changes, because its address is derived from its content.
@@ -26,6 +26,26 @@ pub async fn list_policies(
 ) -> Result<Response, Problem> {
     let found = app.policies(params.into()).await?;
     Ok(respond(&uri, app.all_labelled(found).await?))
+}
+
+/// Import a policy that was trained elsewhere.
+///
+/// A safetensors file with a manifest, at most 16 MiB, as `GET /v1/policies/{id}/weights` and the
+/// Python package give it. The policy's id is a hash of the file.
+#[utoipa::path(post, path = "/v1/policies", tag = "policies",
+    request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "The file"),
+    responses((status = 201, description = "The policy", body = Labelled<Policy>),
+        (status = 200, description = "Known already: the policy", body = Labelled<Policy>),
+        (status = 415, description = "The body is not `application/octet-stream`", body = Problem,
+            content_type = "application/problem+json")))]
+pub async fn import_policy(
+    _: Operator,
+    State(app): State<App>,
+    Octets(file): Octets,
+) -> Result<Response, Problem> {
+    let (policy, is_new) = app.import_policy("file", &file).await?;
+    let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
+    Ok((status, answer(app.labelled(policy).await?)).into_response())
 }
 
 /// One policy.

@@ -251,6 +251,7 @@ pub struct CalibrationRequest {
     /// target is converted to the version's reference. Default: the angle that the version predicts
     /// there, for a powder of its campaign.
     #[serde(default)]
+    #[schema(value_type = std::collections::BTreeMap<String, super::Condition>)]
     pub conditions: Day,
 }
 

@@ -26,6 +26,7 @@ pub struct CharacterisationRequest {
     pub simulator: Option<String>,
     /// Conditions of the version on the simulated bench.
     #[serde(default)]
+    #[schema(value_type = std::collections::BTreeMap<String, super::Condition>)]
     pub conditions: Day,
     /// Lot of the powder.
     #[serde(default)]

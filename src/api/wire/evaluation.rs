@@ -62,6 +62,7 @@ pub struct EvaluationRequest {
     /// Conditions of the version on the bench, each within the range of its campaign, as
     /// `{"relative_humidity_pct": 65}`.
     #[serde(default)]
+    #[schema(value_type = std::collections::BTreeMap<String, super::Condition>)]
     pub conditions: Day,
 }
 

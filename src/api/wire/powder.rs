@@ -286,6 +286,7 @@ answer! { flip_core::domain::powder::Flowability => Flowability { repose_deg, sd
 pub enum Observable {
     /// Time for a mass to run out of a flat-bottomed cup through a round hole, s. A Hall flow meter
     /// uses 50 g, 2.54 mm (ASTM B213).
+    #[schema(title = "FlowTime")]
     FlowTime {
         /// Mass that runs out, 0.01 to 1000 g.
         mass_g: f64,
@@ -293,6 +294,7 @@ pub enum Observable {
         orifice_mm: f64,
     },
     /// Mass that falls from a full spoon in one shake, mg.
+    #[schema(title = "ShakeMass")]
     ShakeMass {
         /// Pitch of the spoon, tip down, 0 to 50 deg.
         pitch_deg: f64,
@@ -301,8 +303,10 @@ pub enum Observable {
     },
     /// Slope of the powder left in a flat-bottomed cup after draining through a hole in the middle,
     /// deg.
+    #[schema(title = "DrainedAngle")]
     DrainedAngle {},
     /// Height of a heap that covers a round base to its rim, mm.
+    #[schema(title = "PileHeight")]
     PileHeight {
         /// Diameter of the base, 5 to 500 mm.
         base_diameter_mm: f64,

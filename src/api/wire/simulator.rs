@@ -156,6 +156,7 @@ pub struct Under {
     /// The conditions given. A calibration without any runs at the version's reference; a training
     /// draws those left out.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[schema(value_type = std::collections::BTreeMap<String, Condition>)]
     pub conditions: Day,
 }
 

@@ -52,6 +52,7 @@ pub struct TrainingRequest {
     /// Conditions held fixed in every episode; the others are drawn for each as seen in the
     /// version's campaign.
     #[serde(default)]
+    #[schema(value_type = std::collections::BTreeMap<String, super::Condition>)]
     pub conditions: Day,
     /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`); default as in
     /// the simulator. The surrogate ignores it.

@@ -27,6 +27,7 @@ pub struct WeighingRequest {
     /// Conditions of the version on the simulated bench, each within the range of its campaign, as
     /// `{"relative_humidity_pct": 65}`.
     #[serde(default)]
+    #[schema(value_type = std::collections::BTreeMap<String, super::Condition>)]
     pub conditions: Day,
     /// Purpose and circumstances: lot, vial, operator, air, and what follows an overdose.
     #[serde(default)]
@@ -51,8 +52,18 @@ pub struct Target {
     /// Value: at least one display step of the balance, and within what the spoon holds.
     pub value: f64,
     /// `mg` or `g`.
-    #[schema(examples("mg"))]
+    #[schema(value_type = MassUnit)]
     pub unit: String,
+}
+
+/// Unit of a mass.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ToSchema)]
+#[schema(rename_all = "snake_case")]
+pub enum MassUnit {
+    /// Milligrams.
+    Mg,
+    /// Grams.
+    G,
 }
 
 request! { Target => app::Target { value, unit } }
@@ -67,8 +78,21 @@ pub struct Tolerance {
     /// balance.
     pub upper: f64,
     /// `mg`, `g`, or `%` of the target.
-    #[schema(examples("mg"))]
+    #[schema(value_type = ToleranceUnit)]
     pub unit: String,
+}
+
+/// Unit of a tolerance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ToSchema)]
+#[schema(rename_all = "snake_case")]
+pub enum ToleranceUnit {
+    /// Milligrams.
+    Mg,
+    /// Grams.
+    G,
+    /// Per cent of the target.
+    #[schema(rename = "%")]
+    Percent,
 }
 
 request! { Tolerance => app::Tolerance { lower, upper, unit } }
@@ -197,9 +221,11 @@ answer! { flip_store::weighings::Waiting => Waiting { id, powder, target_mg, via
 pub enum OnOverdose {
     /// Report it and stop.
     #[default]
+    #[schema(title = "StopAfterOverdose")]
     Stop,
     /// Exchange the vial for an empty one and repeat the dose. Only on a bench that can exchange
     /// vials.
+    #[schema(title = "DiscardAndRetry")]
     DiscardAndRetry {
         /// Maximum number of retries, 1 to 5.
         max: u32,
