@@ -13,6 +13,7 @@
 # make pictures   the pictures of the page in README and docs, of doses it has weighed on the emulated bench: about five minutes
 # make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
 # make stale   results in docs that are older than the code they speak of
+# make proto  the gRPC contract: buf's lint, and nothing that breaks a client of the last tag
 # make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
 # make check  what is wrong without running a test: format, clippy, licences, repeated blocks, and the README's own commands
 # make web    the page alone · make bench   the hot loops · make lint   make check's first half and the code's documentation
@@ -20,7 +21,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-python setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report pictures dist lint check
+.PHONY: run test test-python setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report pictures proto dist lint check
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -84,6 +85,18 @@ chromium:
 	as_root=; [ "$$(id -u)" = 0 ] || as_root=sudo
 	$$as_root apt-get update
 	DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y --no-install-recommends chromium
+
+BUF := npx --yes @bufbuild/buf@1.75.0
+proto:
+	$(BUF) lint proto
+	if tag=$$(git describe --tags --abbrev=0 2> /dev/null); then
+		old=$$(mktemp -d); trap 'rm -rf "$$old"' EXIT
+		git archive "$$tag" proto/flip | tar -x -C "$$old"
+		cp proto/buf.yaml "$$old/proto/" && mkdir -p "$$old/proto/sila"
+		cd proto && $(BUF) breaking --against "$$old/proto"
+	else
+		echo "no tag yet: nothing to compare with"
+	fi
 
 dist: setup
 	cargo build --release --locked --bin flip

@@ -35,7 +35,7 @@ fn everything_is_exported_into_tables_that_name_what_their_rows_belong_to() {
     let csv = folder.path().join("piles.csv");
     fs::write(&csv, "powder,method,repose_deg\nZinc oxide,manual,41.2\nZinc oxide,manual,42.0\n")
         .unwrap();
-    let import = ["measurements", "import", "--csv", csv.to_str().unwrap(), "--create"];
+    let import = ["measurements", "import", csv.to_str().unwrap(), "--create"];
     let data = folder.path().join("data");
     expect_status(&flip(&data, &import), 0);
     let out = folder.path().join("out");

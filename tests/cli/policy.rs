@@ -124,8 +124,10 @@ fn a_policy_trained_elsewhere_is_imported_once() {
     let export = ["policy", "export", "--policy", id, "--out", out.to_str().unwrap()];
     expect_status(&flip(folder.path(), &export), 0);
     assert_eq!(std::fs::read(&out).unwrap(), std::fs::read(&file).unwrap());
-    let record = flip(folder.path(), &["audit", "export"]);
-    let deeds = String::from_utf8(record.stdout).unwrap();
+    let record = folder.path().join("record.json");
+    let asked = ["audit", "export", "--out", record.to_str().unwrap()];
+    expect_status(&flip(folder.path(), &asked), 0);
+    let deeds = std::fs::read_to_string(record).unwrap();
     assert_eq!(deeds.matches("policy imported").count(), 1, "{deeds}");
 
     let text = folder.path().join("text.safetensors");
