@@ -23,7 +23,7 @@ LOGS = ROOT / "target/test"
 CARGO = ["cargo", "test", "--locked", "--workspace", "--exclude", "flip-experiments", "--exclude", "flip-python", "--lib", "--bins", "--tests"]
 
 # Suites that only compute, the longest first.
-COMPUTE = ["physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_policy", "flip_core"]
+COMPUTE = ["physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_grains", "flip_policy", "flip_core"]
 # A niceness of 19 is not enough: a balance that wakes may then wait for milliseconds.
 IDLE = ["chrt", "--idle", "0"] if shutil.which("chrt") else ["nice", "-n", "19"]
 # Tests that run at a time in a suite in which they mostly wait.

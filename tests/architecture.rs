@@ -61,7 +61,7 @@ const ARROWS: [(&str, &[&str]); 25] = [
 ];
 
 /// Crates that are one room.
-const ALONE: [&str; 4] = ["discover", "policy", "sim", "store"];
+const ALONE: [&str; 5] = ["discover", "grains", "policy", "sim", "store"];
 
 /// Crates of several rooms.
 const HOUSES: [&str; 3] = ["flip-bench", "flip-core", "flip-learn"];

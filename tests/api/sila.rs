@@ -128,7 +128,10 @@ async fn a_dose_is_followed_to_its_last_value_and_has_a_result() {
     let values: Vec<_> = values.try_collect().await.unwrap();
     let last = values.last().unwrap();
     assert_eq!((&last.state, last.mass), (&text("done"), real(15.0)));
-    assert!(values.iter().any(|value| value.mass == real(7.5)), "{values:?}");
+    // A stream shows the newest value: how many there are depends on how fast they are taken.
+    let masses: Vec<f64> = values.iter().map(|it| it.mass.unwrap().value).collect();
+    assert!(masses.is_sorted(), "{values:?}");
+    assert!(values.iter().any(|value| value.state == text("dosing")), "{values:?}");
     let result = weighing.dose_powder_result(execution(&id)).await.unwrap().into_inner();
     assert_eq!((result.outcome, result.mass), (text("within"), real(15.0)));
     assert!(result.weighing.unwrap().value.contains(&id));

@@ -4,7 +4,7 @@
 //!
 //! Nothing from the crate is used here.
 
-use crate::grains::{Grains, repose_deg};
+use flip_grains::{Grains, repose_deg};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::fmt::Write;

@@ -16,7 +16,6 @@
 //! `cargo test --test discovery` hides a few dozen. `make discovery-report` hides hundreds and
 //! prints the table; it can be stopped and resumed.
 
-mod grains;
 mod heaps;
 // The report uses more of it.
 #[allow(dead_code)]

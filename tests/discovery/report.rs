@@ -6,9 +6,6 @@
 //! replayed `REPEATS` times at each amplitude).
 
 mod campaigns;
-// Its own tests use more of it.
-#[allow(dead_code)]
-mod grains;
 mod heaps;
 mod judge;
 mod rates;
