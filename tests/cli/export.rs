@@ -49,7 +49,7 @@ fn everything_is_exported_into_tables_that_name_what_their_rows_belong_to() {
     let at = |name: &str| measured[0].iter().position(|it| it == name).unwrap();
     let ours: Vec<_> = measured.iter().filter(|row| row[at("powder")] == "zinc_oxide").collect();
     assert_eq!(ours.len(), 1);
-    let mean: f64 = ours[0][at("flowability.repose_deg")].parse().unwrap();
+    let mean: f64 = ours[0][at("repose_deg")].parse().unwrap();
     assert!((mean - 41.6).abs() < 1e-9, "{mean}");
     assert_eq!(
         measured.len() - 1,

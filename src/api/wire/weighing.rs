@@ -1,6 +1,8 @@
 //! Doses of powder.
 
-use super::{Apparatus, Day, Patch, Timestamp, Under, VialCheck, is_default};
+use super::{
+    Apparatus, Day, MassUnit, Patch, Timestamp, ToleranceUnit, Under, VialCheck, is_default,
+};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -56,16 +58,6 @@ pub struct Target {
     pub unit: String,
 }
 
-/// Unit of a mass.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ToSchema)]
-#[schema(rename_all = "snake_case")]
-pub enum MassUnit {
-    /// Milligrams.
-    Mg,
-    /// Grams.
-    G,
-}
-
 request! { Target => app::Target { value, unit } }
 
 /// Permitted deviation of a dose.
@@ -80,19 +72,6 @@ pub struct Tolerance {
     /// `mg`, `g`, or `%` of the target.
     #[schema(value_type = ToleranceUnit)]
     pub unit: String,
-}
-
-/// Unit of a tolerance.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ToSchema)]
-#[schema(rename_all = "snake_case")]
-pub enum ToleranceUnit {
-    /// Milligrams.
-    Mg,
-    /// Grams.
-    G,
-    /// Per cent of the target.
-    #[schema(rename = "%")]
-    Percent,
 }
 
 request! { Tolerance => app::Tolerance { lower, upper, unit } }
