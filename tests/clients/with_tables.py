@@ -26,7 +26,7 @@ print(
         {
             "rows": [len(doses), len(frame), len(text)],
             "types": {name: str(doses[name].dtype) for name in ("target_mg", "shakes", "created_at", "measured.proven", "outcome")},
-            "mean_mg": [float(doses.target_mg.mean()), frame["target_mg"].mean(), duckdb.sql("SELECT avg(target_mg) FROM weighed").fetchone()[0], float(text.target_mg.mean())],
+            "mean_mg": [float(doses.target_mg.mean()), frame["target_mg"].mean(), duckdb.sql("SELECT avg(target_mg) FROM weighed").fetchall()[0][0], float(text.target_mg.mean())],
             "powders": len(pandas.read_csv(io.BytesIO(get("/v1/powders?format=csv")))),
         }
     )
