@@ -144,6 +144,10 @@ impl Service {
     }
 
     /// Waits until a pour has begun.
+    pub fn hold_bench_at_half(&self) -> Hold {
+        self.bench.hold_at_half()
+    }
+
     pub async fn until_pouring(&self) {
         while self.pours() == 0 {
             tokio::time::sleep(Duration::from_millis(2)).await;

@@ -22,6 +22,7 @@ use std::time::Duration;
 pub struct Bench {
     pours: Arc<AtomicUsize>,
     held: Arc<AtomicBool>,
+    halved: Arc<AtomicBool>,
 }
 
 /// While it lives, pours are blocked.
@@ -49,6 +50,12 @@ impl Bench {
     pub fn hold(&self) -> Hold {
         self.held.store(true, Ordering::SeqCst);
         Hold(self.held.clone())
+    }
+
+    /// While it lives, pours stand still at half of the target.
+    pub fn hold_at_half(&self) -> Hold {
+        self.halved.store(true, Ordering::SeqCst);
+        Hold(self.halved.clone())
     }
 }
 
@@ -94,6 +101,9 @@ impl Rig for Bench {
             };
             let _recorded = on_event(&Event::Tick(&tick));
             ticks.push(tick);
+            while step == 1 && self.halved.load(Ordering::SeqCst) && !stop.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
         }
         let stopped = stop.load(Ordering::SeqCst);
         let reading_mg = ticks.last().map_or(0.0, |tick| tick.reading.mass_mg);
