@@ -1,6 +1,7 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium; prints how many ran
 # make test-python   the Python package: its wheel, and every client that uses it (a quarter of an hour more)
+# make laws   every law of nature of the validation suite, those that take minutes too: a quarter of an hour
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
 # make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
 # make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
@@ -21,7 +22,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-python setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report pictures proto dist lint check
+.PHONY: run test test-python laws setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report pictures proto dist lint check
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -37,6 +38,9 @@ test: setup chromium
 
 test-python: setup
 	FLIP_PYTHON=1 python3 .ci/tests.py clients
+
+laws: setup
+	cargo test --locked --test physics -- --include-ignored
 
 # What cargo cannot fetch by itself: libtorch (checked by SHA-256), and the built page and documentation, which the binary embeds.
 setup: need .libtorch/build-version web web/docs-dist/index.html

@@ -1,6 +1,7 @@
 //! Does nature hold? Bulk behaviour of the simulator through its public surface.
 
 mod emulator;
+mod recorded;
 mod validation;
 
 use flip_core::domain::parameters::ParameterSet;

@@ -1,4 +1,8 @@
 //! The validation suite, as `flip validate` runs it: every law holds, or is missed as documented.
+//!
+//! Laws that take minutes of a core are ignored here and run by `make laws`: their numbers can
+//! change only with the simulator, and recorded heaps and doses, which every run compares bit by
+//! bit, tell when it does.
 
 use flip_sim::validate::{Check, Suite, experiments};
 use rayon::prelude::*;
@@ -38,6 +42,7 @@ fn silos_empty_and_bear_load_as_beverloo_and_janssen_say() {
 }
 
 #[test]
+#[ignore = "minutes of a core: make laws"]
 fn tall_released_columns_spread_like_sand() {
     expect(&["collapse_tall"]);
 }
@@ -58,8 +63,14 @@ fn grains_that_may_roll_spread_and_rolling_resistance_gives_the_heap_back() {
 }
 
 #[test]
+fn the_angle_of_repose_has_converged_in_the_substep() {
+    expect(&["repose_substep"]);
+}
+
+#[test]
+#[ignore = "minutes of a core: make laws"]
 fn the_angle_of_repose_belongs_to_the_powder() {
-    expect(&["repose_size", "repose_substep", "repose_funnel"]);
+    expect(&["repose_size", "repose_funnel"]);
 }
 
 #[test]
@@ -73,6 +84,7 @@ fn a_heap_rests_and_a_tilted_bed_flows_when_it_should() {
 }
 
 #[test]
+#[ignore = "minutes of a core: make laws"]
 fn a_dose_depends_on_the_substep_by_no_more_than_is_documented() {
     expect(&["dose_free_flowing", "dose_frictional"]);
 }

@@ -1,7 +1,7 @@
 //! PowderCalibration.
 
 use super::error::{Call, unanswered};
-use super::execution::{Values, confirmation, follow_job, job_info, succeeded};
+use super::execution::{Values, confirmation, job_info, job_values, succeeded};
 use super::feature::CALIBRATION;
 use super::proto::sila2::flip::flowability::powdercalibration::v1::*;
 use super::standard::{CommandConfirmation, CommandExecutionUuid, ExecutionInfo};
@@ -43,7 +43,7 @@ impl PowderCalibration for Sila {
         &self,
         request: Request<CommandExecutionUuid>,
     ) -> Result<Response<Values<ExecutionInfo>>, Status> {
-        job_info(&self.app, request.into_inner(), JobKind::Calibration).await
+        job_info(self, request.into_inner(), JobKind::Calibration).await
     }
 
     type Calibrate_IntermediateStream = Values<CalibrateIntermediateResponses>;
@@ -52,7 +52,7 @@ impl PowderCalibration for Sila {
         &self,
         request: Request<CommandExecutionUuid>,
     ) -> Result<Response<Values<CalibrateIntermediateResponses>>, Status> {
-        follow_job(&self.app, request.into_inner(), JobKind::Calibration, |job| {
+        job_values(self, request.into_inner(), JobKind::Calibration, |job| {
             CalibrateIntermediateResponses { message: text(&job.progress.message) }
         })
         .await

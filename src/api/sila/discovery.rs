@@ -1,7 +1,7 @@
 //! SimulatorDiscovery.
 
 use super::error::{Call, unanswered};
-use super::execution::{Values, confirmation, follow_job, job_info, succeeded};
+use super::execution::{Values, confirmation, job_info, job_values, succeeded};
 use super::feature::DISCOVERY;
 use super::proto::sila2::flip::discovery::simulatordiscovery::v1::*;
 use super::standard::{CommandConfirmation, CommandExecutionUuid, ExecutionInfo};
@@ -45,7 +45,7 @@ impl SimulatorDiscovery for Sila {
         &self,
         request: Request<CommandExecutionUuid>,
     ) -> Result<Response<Values<ExecutionInfo>>, Status> {
-        job_info(&self.app, request.into_inner(), JobKind::Investigation).await
+        job_info(self, request.into_inner(), JobKind::Investigation).await
     }
 
     type Investigate_IntermediateStream = Values<InvestigateIntermediateResponses>;
@@ -54,7 +54,7 @@ impl SimulatorDiscovery for Sila {
         &self,
         request: Request<CommandExecutionUuid>,
     ) -> Result<Response<Values<InvestigateIntermediateResponses>>, Status> {
-        follow_job(&self.app, request.into_inner(), JobKind::Investigation, |job| {
+        job_values(self, request.into_inner(), JobKind::Investigation, |job| {
             InvestigateIntermediateResponses { message: text(&job.progress.message) }
         })
         .await

@@ -175,6 +175,7 @@ fn router(app: &App, config: &SilaConfig, plate: NamePlate) -> Router {
         plate: Arc::new(plate),
         sessions: sessions.clone(),
         binaries: Arc::<Binaries>::default(),
+        audience: Arc::default(),
         lock: config.lock.then(Arc::<Lock>::default),
         guarded: guarded.into(),
     };

@@ -4,6 +4,7 @@
 //! A stream says at once how things stand, then again after each event, and ends with the last
 //! value: clients wait for its end.
 
+use super::Sila;
 use super::error::{no_execution, not_finished, unanswered};
 use super::standard::execution_info::CommandStatus;
 use super::standard::{CommandConfirmation, CommandExecutionUuid, ExecutionInfo};
@@ -143,18 +144,18 @@ pub fn unknown(error: app::Error, uuid: &str) -> Status {
 
 /// How far a dose is: by the share of the target that the balance shows.
 pub async fn weighing_info(
-    app: &App,
+    sila: &Sila,
     uuid: CommandExecutionUuid,
 ) -> Result<Response<Values<ExecutionInfo>>, Status> {
-    let id = uuid.value;
+    let (app, id) = (&sila.app, uuid.value);
     let detail = weighing(app, &id).await?;
-    let (topic, app) = (Topic::Weighing(detail.weighing.id), app.clone());
-    let looking = app.clone();
+    let topic = Topic::Weighing(detail.weighing.id);
+    let (looking, seen) = (app.clone(), id.clone());
     let look = move || {
-        let (app, id) = (looking.clone(), id.clone());
+        let (app, id) = (looking.clone(), seen.clone());
         async move { Ok(info_of_dose(&weighing(&app, &id).await?)) }
     };
-    follow(&app, topic, |_| true, look).await
+    Ok(sila.audience.states(&id, follow(app, topic, |_| true, look).await?))
 }
 
 fn info_of_dose(detail: &WeighingDetail) -> Seen<ExecutionInfo> {
@@ -179,11 +180,11 @@ pub fn is_result(outcome: Outcome) -> bool {
 
 /// How far a job is.
 pub async fn job_info(
-    app: &App,
+    sila: &Sila,
     uuid: CommandExecutionUuid,
     kind: JobKind,
 ) -> Result<Response<Values<ExecutionInfo>>, Status> {
-    follow_job(app, uuid, kind, |job| {
+    let states = follow_job(&sila.app, &uuid.value, kind, |job| {
         let status = match job.state {
             JobState::Queued => CommandStatus::Waiting,
             JobState::Running => CommandStatus::Running,
@@ -195,20 +196,30 @@ pub async fn job_info(
             _ => job.progress.fraction.clamp(0.0, ALMOST),
         };
         info(status, share, job.left_s.or(job.expected_s))
-    })
-    .await
+    });
+    Ok(sila.audience.states(&uuid.value, states.await?))
 }
 
-/// Something about a job as it changes.
-pub async fn follow_job<T: Clone + PartialEq + Send + 'static>(
-    app: &App,
+/// What an execution tells of its job before it ends.
+pub async fn job_values<T: Clone + PartialEq + Send + 'static>(
+    sila: &Sila,
     uuid: CommandExecutionUuid,
     kind: JobKind,
     value: fn(&Job) -> T,
 ) -> Result<Response<Values<T>>, Status> {
-    let id = uuid.value;
-    job(app, &id, kind).await?;
-    let (looking, topic) = (app.clone(), Topic::Job(id.clone()));
+    let values = follow_job(&sila.app, &uuid.value, kind, value).await?;
+    Ok(sila.audience.values(&uuid.value, values))
+}
+
+/// Something about a job as it changes.
+async fn follow_job<T: Clone + PartialEq + Send + 'static>(
+    app: &App,
+    id: &str,
+    kind: JobKind,
+    value: fn(&Job) -> T,
+) -> Result<Response<Values<T>>, Status> {
+    job(app, id, kind).await?;
+    let (looking, id, topic) = (app.clone(), id.to_owned(), Topic::Job(id.to_owned()));
     let look = move || {
         let (app, id) = (looking.clone(), id.clone());
         async move {

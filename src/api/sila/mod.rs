@@ -11,6 +11,7 @@
 //! [`feature`].
 
 mod announce;
+mod audience;
 mod balance;
 mod bench;
 mod binary;
@@ -34,6 +35,7 @@ mod weighing;
 pub use door::{Bound, SilaConfig, bind};
 
 use crate::app::{App, Role};
+use audience::Audience;
 use binary::Binaries;
 use error::{may, may_clear};
 use identity::Sessions;
@@ -59,6 +61,7 @@ struct Sila {
     plate: Arc<NamePlate>,
     sessions: Arc<Sessions>,
     binaries: Arc<Binaries>,
+    audience: Arc<Audience>,
     /// `None` unless the server can be locked.
     lock: Option<Arc<Lock>>,
     /// Features and commands that need an access token.

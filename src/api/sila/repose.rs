@@ -70,7 +70,7 @@ impl AngleOfReposeMeasurement for Sila {
         &self,
         request: Request<CommandExecutionUuid>,
     ) -> Result<Response<Values<ExecutionInfo>>, Status> {
-        job_info(&self.app, request.into_inner(), JobKind::Repose).await
+        job_info(self, request.into_inner(), JobKind::Repose).await
     }
 
     type MeasureAngleOfRepose_IntermediateStream =
@@ -82,15 +82,16 @@ impl AngleOfReposeMeasurement for Sila {
     ) -> Result<Response<Values<MeasureAngleOfReposeIntermediateResponses>>, Status> {
         let id = request.into_inner().value;
         job(&self.app, &id, JobKind::Repose).await?;
-        let (app, topic) = (self.app.clone(), Topic::Job(id.clone()));
+        let (app, seen, topic) = (self.app.clone(), id.clone(), Topic::Job(id.clone()));
         let look = move || {
-            let (app, id) = (app.clone(), id.clone());
+            let (app, id) = (app.clone(), seen.clone());
             async move {
                 let found = app.repose(&id).await.map_err(|error| unknown(error, &id))?;
                 Ok(so_far(&found))
             }
         };
-        follow(&self.app, topic, |_| true, look).await
+        let values = follow(&self.app, topic, |_| true, look).await?;
+        Ok(self.audience.values(&id, values))
     }
 
     async fn measure_angle_of_repose_result(

@@ -83,7 +83,7 @@ impl PowderWeighing for Sila {
         &self,
         request: Request<CommandExecutionUuid>,
     ) -> Result<Response<Values<ExecutionInfo>>, Status> {
-        weighing_info(&self.app, request.into_inner()).await
+        weighing_info(self, request.into_inner()).await
     }
 
     type DosePowder_IntermediateStream = Values<DosePowderIntermediateResponses>;
@@ -94,12 +94,13 @@ impl PowderWeighing for Sila {
     ) -> Result<Response<Values<DosePowderIntermediateResponses>>, Status> {
         let id = request.into_inner().value;
         weighing(&self.app, &id).await?;
-        let (app, topic) = (self.app.clone(), Topic::Weighing(id.clone()));
+        let (app, seen, topic) = (self.app.clone(), id.clone(), Topic::Weighing(id.clone()));
         let look = move || {
-            let (app, id) = (app.clone(), id.clone());
+            let (app, id) = (app.clone(), seen.clone());
             async move { Ok(so_far(&weighing(&app, &id).await?)) }
         };
-        follow(&self.app, topic, |_| true, look).await
+        let values = follow(&self.app, topic, |_| true, look).await?;
+        Ok(self.audience.values(&id, values))
     }
 
     async fn dose_powder_result(
