@@ -3,6 +3,7 @@
 
 use super::grpc;
 use super::problem::Problem;
+use crate::app::{FieldError, correlated};
 use axum::extract::MatchedPath;
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, header};
@@ -24,6 +25,12 @@ const HARDENING: [(HeaderName, &str); 5] = [
     (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
+/// Headers in which callers send their own id of a request, the first one first.
+const CORRELATION: [HeaderName; 2] =
+    [HeaderName::from_static("x-correlation-id"), HeaderName::from_static("x-request-id")];
+/// Longest id that is kept.
+const CORRELATION_MAX: usize = 200;
+
 /// The layer described in the module documentation.
 pub async fn edge(request: Request, next: Next) -> Response {
     let id = uuid::Uuid::now_v7().to_string();
@@ -34,17 +41,31 @@ pub async fn edge(request: Request, next: Next) -> Response {
         "request",
         id,
         method = counted(&method),
-        route = tracing::field::Empty
+        route = tracing::field::Empty,
+        correlation_id = tracing::field::Empty
     );
+    let correlation = correlation_id(request.headers());
+    if let Ok(Some(correlation)) = &correlation {
+        span.record("correlation_id", correlation);
+    }
 
     let started = Instant::now();
-    let mut response = next.run(request).instrument(span.clone()).await;
+    let mut response = match correlation.clone() {
+        Ok(correlation) => {
+            correlated(correlation, next.run(request)).instrument(span.clone()).await
+        }
+        Err(refused) => Problem::from(refused).into_response(),
+    };
     // The route rather than the path: ids would create a metric per weighing.
     let route = response.extensions_mut().remove::<MatchedPath>().or(own_route);
     let route = route.as_ref().map_or("none", MatchedPath::as_str).to_owned();
     span.record("route", route.as_str());
     let mut response = in_callers_protocol(response, grpc, &id);
     harden(response.headers_mut(), &id);
+    if let Ok(Some(Ok(correlation))) = correlation.map(|it| it.map(|it| HeaderValue::from_str(&it)))
+    {
+        response.headers_mut().insert(&CORRELATION[0], correlation);
+    }
 
     let seconds = started.elapsed().as_secs_f64();
     let status = response.status().as_u16();
@@ -54,6 +75,23 @@ pub async fn edge(request: Request, next: Next) -> Response {
     metrics::counter!("flip_requests_total", &labels).increment(1);
     metrics::histogram!("flip_request_seconds", &labels).record(seconds);
     response
+}
+
+/// The caller's own id of a request.
+fn correlation_id(headers: &HeaderMap) -> Result<Option<String>, FieldError> {
+    let Some((name, value)) = CORRELATION.iter().find_map(|it| Some((it, headers.get(it)?))) else {
+        return Ok(None);
+    };
+    let visible = |text: &&str| text.bytes().all(|byte| byte.is_ascii_graphic());
+    let kept = value.to_str().ok().filter(visible).filter(|text| text.len() <= CORRELATION_MAX);
+    match kept {
+        Some("") => Ok(None),
+        Some(text) => Ok(Some(text.to_owned())),
+        None => {
+            let advice = format!("must be at most {CORRELATION_MAX} visible ASCII characters");
+            Err(FieldError::new(name.as_str(), advice))
+        }
+    }
 }
 
 /// Label under which a method is counted and logged: callers make up methods, and every label is

@@ -11,6 +11,7 @@ use flip_core::card::cells::cells;
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::{Conditions, Patch, Under};
 use flip_core::domain::job::JobKind;
+use flip_core::domain::labels::Labels;
 use flip_core::domain::observable::Observation;
 use flip_core::domain::powder::Flowability;
 use flip_discover::Extended;
@@ -74,6 +75,9 @@ pub struct CalibrationRequest {
     /// there, for a powder of its campaign.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
+    /// What the caller writes on it, to find it again.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
 }
 
 /// Maximum number of observations per calibration.
@@ -159,7 +163,7 @@ impl App {
             under,
             simulator,
         };
-        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Calibration(spec)).await?)
+        self.queue(JobSpec::Calibration(spec), request.labels).await
     }
 
     /// The stored shakes of the powder as observations.

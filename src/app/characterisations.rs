@@ -5,6 +5,7 @@ use super::check::Check;
 use super::weighings::TARGET_MG_MAX;
 use super::{App, Result, Target, Tolerance, WeighingRequest};
 use flip_core::domain::conditions::Conditions;
+use flip_core::domain::labels::Labels;
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, OnOverdose, PROBE_SPOONFULS_MAX, Probe};
 use flip_core::domain::{FieldError, bounded};
@@ -42,6 +43,8 @@ pub struct CharacterisationRequest {
     pub vial_check: VialCheck,
     /// The bench reservation under which the request is made, `rs-…`, if any.
     pub reservation: Option<String>,
+    /// What the caller writes on it, to find it again.
+    pub labels: Labels,
 }
 
 impl App {
@@ -87,6 +90,7 @@ impl CharacterisationRequest {
                 ..Asked::default()
             },
             vial_check: self.vial_check,
+            labels: self.labels,
             reservation: self.reservation,
         })
     }

@@ -12,6 +12,7 @@ use super::weighings::latched;
 use super::{App, Error, Result, Target, Tolerance, WeighingRequest};
 use crate::jobs::bench::WAITING_MAX;
 use flip_core::domain::FieldError;
+use flip_core::domain::labels::Labels;
 use flip_core::domain::powder_name::{id_of_powder, same_name};
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, WeighRequest};
@@ -59,6 +60,8 @@ pub struct DoseListRequest {
     pub vial_check: VialCheck,
     /// The bench reservation under which the table is requested, if any.
     pub reservation: Option<String>,
+    /// What the caller writes on every dose, to find them again.
+    pub labels: Labels,
     /// Whether it is only to be checked.
     pub check: bool,
 }
@@ -250,6 +253,9 @@ impl App {
             None => request.doses.into_iter().enumerate().map(Line::of).collect(),
         };
         for line in &mut lines {
+            for (key, value) in &request.labels.0 {
+                line.request.labels.0.entry(key.clone()).or_insert_with(|| value.clone());
+            }
             match &line.request.asked.list {
                 Some(other) if *other != name => {
                     let advice = format!(
@@ -430,6 +436,7 @@ fn dose(
         asked,
         vial_check: request.vial_check,
         reservation: request.reservation.clone(),
+        labels: Labels::default(),
     };
     Ok((dose, repeats))
 }

@@ -9,6 +9,7 @@ use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, POLICY, rival, tuned_
 use crate::jobs::{Conditions, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
 use flip_core::domain::conditions::{Conditions as Day, Under};
 use flip_core::domain::job::JobKind;
+use flip_core::domain::labels::Labels;
 use flip_core::domain::powder::PUBLISHED;
 use flip_core::domain::spoon::Spoon;
 use flip_core::domain::{FieldError, bounded};
@@ -71,6 +72,9 @@ pub struct EvaluationRequest {
     /// `{"relative_humidity_pct": 65}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Day,
+    /// What the caller writes on it, to find it again.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
 }
 
 /// An evaluation: its job, its settings, and the errors once it has succeeded.
@@ -154,7 +158,7 @@ impl App {
             seed: request.seed.unwrap_or(1),
             simulator: SIMULATOR.to_owned(),
         };
-        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Evaluation(spec)).await?)
+        self.queue(JobSpec::Evaluation(spec), request.labels).await
     }
 
     /// The named policy, or the newest that does not ship; if no policy takes part in the weighing,

@@ -11,6 +11,7 @@ use crate::jobs::{EpisodeFilmSpec, FilmSpec, HeapFilmSpec, JobSpec, SIMULATOR};
 use flip_core::domain::FieldError;
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::job::{JobKind, JobState};
+use flip_core::domain::labels::Labels;
 use flip_core::domain::shake::Spoonful;
 use flip_store as store;
 use flip_store::jobs::{Job, JobRow};
@@ -44,6 +45,9 @@ pub struct FilmRequest {
     /// Which episode of it, one whose network is kept.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub episode: Option<u32>,
+    /// What the caller writes on it, to find it again.
+    #[serde(skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
 }
 
 /// Which films to list; of everything by default.
@@ -89,7 +93,13 @@ impl App {
     /// `Invalid`: an unknown weighing, spoonful, set, training or episode, or not one of them; `Conflict`
     /// (`weighing_not_ended`, `no_shakes`, `no_network`); `Lost`: the record of its steps.
     pub async fn start_film(&self, request: FilmRequest) -> Result<(Job, bool)> {
-        let FilmRequest { weighing, spoonful, set, seed, training, episode } = request;
+        let labels = request.labels.clone();
+        self.queue(self.film_asked(request).await?, labels).await
+    }
+
+    /// What makes the film that is asked for.
+    async fn film_asked(&self, request: FilmRequest) -> Result<JobSpec> {
+        let FilmRequest { weighing, spoonful, set, seed, training, episode, labels: _ } = request;
         let refused = |field, advice: &str| Err(FieldError::new(field, advice).into());
         if spoonful.is_some() && weighing.is_none() {
             return refused(
@@ -129,8 +139,8 @@ impl App {
         }
     }
 
-    /// Queues the film of a dose with the network of a training's episode.
-    async fn film_episode(&self, id: String, episode: Option<u32>) -> Result<(Job, bool)> {
+    /// The film of a dose with the network of a training's episode.
+    async fn film_episode(&self, id: String, episode: Option<u32>) -> Result<JobSpec> {
         let row = self.store().job(&id).await?.filter(|row| row.job.kind == JobKind::Training);
         let row = row.ok_or_else(|| unknown("training", "training", "GET /v1/trainings", &id))?;
         let JobSpec::Training(of) = specification(&row)? else {
@@ -165,11 +175,11 @@ impl App {
         let (set, scene) = episode_scene(&of.levels, &of.settings)?;
         let (set, simulator) = (set.id(), SIMULATOR.to_owned());
         let spec = EpisodeFilmSpec { training: id, episode, policy, set, scene, simulator };
-        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::EpisodeFilm(spec)).await?)
+        Ok(JobSpec::EpisodeFilm(spec))
     }
 
-    /// Queues the film of a heap.
-    async fn film_heap(&self, id: &str, seed: u64) -> Result<(Job, bool)> {
+    /// The film of a heap.
+    async fn film_heap(&self, id: &str, seed: u64) -> Result<JobSpec> {
         let set = self
             .store()
             .parameter_set(id)
@@ -177,11 +187,11 @@ impl App {
             .ok_or_else(|| unknown("set", "parameter set", "GET /v1/parameter-sets", id))?;
         let scene = heap_scene(&set.parameters, seed);
         let spec = HeapFilmSpec { set: set.id, scene, simulator: SIMULATOR.to_owned() };
-        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::HeapFilm(spec)).await?)
+        Ok(JobSpec::HeapFilm(spec))
     }
 
-    /// Queues the film of a spoonful.
-    async fn film_dose(&self, id: String, spoonful: Option<u32>) -> Result<(Job, bool)> {
+    /// The film of a spoonful.
+    async fn film_dose(&self, id: String, spoonful: Option<u32>) -> Result<JobSpec> {
         let WeighingRow { weighing, trace, .. } = self
             .store()
             .weighing(&id)
@@ -207,7 +217,7 @@ impl App {
         let scene = self.scene(&weighing, bench, &kept.spoonful).await?;
         let simulator = SIMULATOR.to_owned();
         let spec = FilmSpec { weighing: id, spoonful: number, bench, scene, simulator };
-        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Film(spec)).await?)
+        Ok(JobSpec::Film(spec))
     }
 
     /// What makes a spoonful again.

@@ -11,6 +11,7 @@ use super::{App, Error, Result, report_html};
 use crate::jobs::{Heaps, InvestigationSpec, JobSpec, SIMULATOR};
 use flip_core::domain::FieldError;
 use flip_core::domain::job::JobKind;
+use flip_core::domain::labels::Labels;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Method;
 use flip_discover::report::{Report, Row, Verdict};
@@ -69,6 +70,9 @@ pub struct InvestigationRequest {
     pub budget_runs: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
 }
 
 /// An investigation: its job, its data, and its findings once it has succeeded.
@@ -184,7 +188,7 @@ impl App {
             method,
             simulator,
         };
-        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Investigation(spec)).await?)
+        self.queue(JobSpec::Investigation(spec), request.labels).await
     }
 
     /// A parameter set for each measured powder: its own, else that of the calibrated powder with

@@ -1,22 +1,19 @@
 //! Jobs of every kind.
 
+use super::caller_labels::written;
 use super::{App, Error, Result};
 use crate::jobs::{JobSpec, SIMULATOR, lane_of};
-use flip_core::domain::job::{JobKind, JobState};
+use flip_core::domain::job::JobState;
+use flip_core::domain::labels::Labels;
 use flip_store as store;
-use flip_store::jobs::{Job, JobRow};
+use flip_store::jobs::{Job, JobRow, JobsWanted};
 use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use serde::de::DeserializeOwned;
 
 impl App {
-    /// Jobs, newest first; optionally of one kind or state.
-    pub async fn jobs(
-        &self,
-        kind: Option<JobKind>,
-        state: Option<JobState>,
-        page: PageQuery,
-    ) -> Result<Page<Job>> {
-        let mut found = self.store().jobs(kind, state, page.window(LIST_LIMIT_MAX)?).await?;
+    /// Jobs that match, newest first.
+    pub async fn jobs(&self, wanted: JobsWanted, page: PageQuery) -> Result<Page<Job>> {
+        let mut found = self.store().jobs(&wanted, page.window(LIST_LIMIT_MAX)?).await?;
         self.place(found.items.iter_mut().collect()).await?;
         Ok(found)
     }
@@ -53,9 +50,16 @@ impl App {
             return Err(Error::conflict("simulator_changed", advice));
         }
         match spec {
-            JobSpec::Repose(_) => self.repose_again(&spec, id).await,
-            _ => Ok(jobs.enqueue_again(&spec, id).await?),
+            JobSpec::Repose(_) => self.repose_again(&spec, &row.job).await,
+            _ => Ok(jobs.enqueue_again(&spec, &row.job).await?),
         }
+    }
+
+    /// Queues a job that a caller asks for. `false`: the same one was requested before, and this is
+    /// it.
+    pub(super) async fn queue(&self, spec: JobSpec, labels: Labels) -> Result<(Job, bool)> {
+        let labels = written(labels)?;
+        Ok(self.jobs_or_refuse()?.enqueue(&spec, &labels).await?)
     }
 
     /// The row of a job, with its place in the queue.

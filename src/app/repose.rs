@@ -1,6 +1,7 @@
 //! Angles of repose by camera: measurements on the bench, the frames they wait for, and the
 //! comparison of automated with manual measurements.
 
+use super::caller_labels::written;
 use super::check::Check;
 use super::jobs::{corrupt, specification, stored};
 use super::trainings::without_sets;
@@ -16,6 +17,7 @@ use flip_bench::rig::{Awaited, PileStand};
 use flip_core::domain::FieldError;
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::job::JobKind;
+use flip_core::domain::labels::Labels;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Flowability;
 use flip_store::jobs::{Job, JobRow};
@@ -51,6 +53,9 @@ pub struct ReposeRequest {
     /// The bench reservation under which the request is made, `rs-…`, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reservation: Option<String>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
 }
 
 /// A measurement by camera: its job, its piles, and the angle once it has succeeded.
@@ -120,17 +125,19 @@ impl App {
             Some(run) => run,
             None => self.store().repose_runs(&powder).await? + 1,
         };
-        let ReposeRequest { procedure, rig, limits, reservation, .. } = request;
+        let ReposeRequest { procedure, rig, limits, reservation, labels, .. } = request;
+        let labels = written(labels)?;
         let spec = ReposeSpec { powder, run, procedure, rig, limits, bench, set };
-        let queued =
-            jobs.enqueue_on_bench(&JobSpec::Repose(spec), reservation.as_deref(), None).await?;
+        let (spec, reservation) = (JobSpec::Repose(spec), reservation.as_deref());
+        let queued = jobs.enqueue_on_bench(&spec, reservation, (None, &labels)).await?;
         queued.map_err(refused)
     }
 
     /// Queues the measurement of a job that failed or was cancelled, if the bench may make piles.
-    pub(super) async fn repose_again(&self, spec: &JobSpec, before: &str) -> Result<(Job, bool)> {
+    pub(super) async fn repose_again(&self, spec: &JobSpec, before: &Job) -> Result<(Job, bool)> {
         self.bench_may_pile(None)?;
-        let queued = self.jobs_or_refuse()?.enqueue_on_bench(spec, None, Some(before)).await?;
+        let of = (Some(before.id.as_str()), &before.labels);
+        let queued = self.jobs_or_refuse()?.enqueue_on_bench(spec, None, of).await?;
         queued.map_err(refused)
     }
 

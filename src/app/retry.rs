@@ -5,9 +5,11 @@ use flip_core::domain::FieldError;
 use flip_store::weighings::{Weighing, WeighingRow};
 use sha2::{Digest, Sha256};
 
-/// What tells whether a repeated key comes with the same request.
+/// What tells whether a repeated key comes with the same request: all of it but the reservation, of
+/// which a caller may have another by then.
 pub(super) fn request_sha256(request: &WeighingRequest) -> Result<Vec<u8>> {
-    let text = serde_json::to_vec(request).map_err(|error| Error::Internal(error.into()))?;
+    let request = WeighingRequest { reservation: None, ..request.clone() };
+    let text = serde_json::to_vec(&request).map_err(|error| Error::Internal(error.into()))?;
     Ok(Sha256::digest(text).to_vec())
 }
 

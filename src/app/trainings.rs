@@ -11,6 +11,7 @@ use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec};
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::{Conditions, Patch, Under};
 use flip_core::domain::job::JobKind;
+use flip_core::domain::labels::Labels;
 use flip_core::domain::spoon::Spoon;
 use flip_policy as policy;
 use flip_store::jobs::{Job, JobRow};
@@ -71,6 +72,9 @@ pub struct TrainingRequest {
     /// ignores it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spoon: Option<Spoon>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
 }
 
 /// A training: its job, its levels, and its policy once it has succeeded.
@@ -149,7 +153,7 @@ impl App {
             settings = settings.checked()?;
         }
         let spec = TrainingSpec { levels, settings, simulator: SIMULATOR.to_owned() };
-        Ok(self.jobs_or_refuse()?.enqueue(&JobSpec::Training(spec)).await?)
+        self.queue(JobSpec::Training(spec), request.labels).await
     }
 
     /// Refuses a policy that this training cannot continue from before it waits in the queue.

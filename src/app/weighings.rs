@@ -1,5 +1,6 @@
 //! Weighings: checked, committed as intents, then carried out one at a time by the bench.
 
+use super::caller_labels::written;
 use super::characterisations::{limit_mg, no_probe};
 use super::check::Check;
 use super::checklist::check_items;
@@ -10,6 +11,7 @@ use super::{App, Error, Result};
 use crate::jobs::bench::WAITING_MAX;
 use flip_core::domain::bench::{BenchKind, Tick};
 use flip_core::domain::conditions::{Conditions, Under};
+use flip_core::domain::labels::Labels;
 use flip_core::domain::seed::{derive, index_of};
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, OnOverdose, WeighRequest};
@@ -58,6 +60,9 @@ pub struct WeighingRequest {
     /// `{"relative_humidity_pct": 65}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
+    /// What the caller writes on it, to find it again.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
     /// Purpose and circumstances: lot, vial, operator, air, and what follows an overdose.
     #[serde(default, skip_serializing_if = "Asked::is_nothing")]
     pub asked: Asked,
@@ -162,6 +167,7 @@ impl App {
             None => Some(provable(&request, step_mg)?),
         };
         check_asked(&request.asked)?;
+        let labels = written(request.labels)?;
         if request.asked.on_overdose != OnOverdose::Stop
             && !self.jobs_or_refuse()?.bench().exchanges_vials()
         {
@@ -216,6 +222,7 @@ impl App {
             under,
             patch,
             asked,
+            labels,
             vial_check,
         };
         Ok((request, set))

@@ -10,7 +10,8 @@ use super::table::table;
 use super::watch::Watch;
 use super::weigh::{calibrate_first, look};
 use crate::app::{
-    App, CardOfPowder, CharacterisationRequest, Error, VialCheck, VialReadyRequest, Weighing,
+    App, CardOfPowder, CharacterisationRequest, Error, Labels, VialCheck, VialReadyRequest,
+    Weighing,
 };
 use flip_core::domain::powder_card::{CardCurve, Estimate, PowderCard, StrokeClass};
 use flip_core::domain::weighing::{Outcome, WeighingState};
@@ -111,6 +112,7 @@ fn request(common: &Common, arguments: &Arguments) -> Result<CharacterisationReq
         vial,
         operator: arguments.operator.clone(),
         reservation: None,
+        labels: Labels::default(),
     })
 }
 

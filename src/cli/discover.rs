@@ -10,7 +10,7 @@ use super::watch::Watch;
 use super::{Common, FIRST_PAGE};
 use crate::app::{
     App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead,
-    InvestigationRequest, Report, SimulatorVersion, StoredShakes, names, predictions_csv,
+    InvestigationRequest, Labels, Report, SimulatorVersion, StoredShakes, names, predictions_csv,
     report_html,
 };
 use anyhow::Context;
@@ -225,6 +225,7 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
         simulations: Some(arguments.simulations),
         budget_runs: Some(arguments.budget_runs),
         seed: Some(common.seed),
+        labels: Labels::default(),
     };
     let report = with_app(common, async |app| investigate(app, request, out).await)?;
     let json = serde_json::to_string_pretty(&report)? + "\n";

@@ -13,7 +13,7 @@ use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{
     App, Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow,
-    EvaluationSummary,
+    EvaluationSummary, Labels,
 };
 use flip_core::domain::conditions::Under;
 use flip_core::domain::powder::{PUBLISHED, PUBLISHED_DOSES_OVERALL_MG, published_mae_mg};
@@ -131,6 +131,7 @@ async fn evaluate(
         simulator: arguments.extended.simulator.clone(),
         conditions: arguments.extended.conditions()?,
         seed: Some(common.seed),
+        labels: Labels::default(),
     };
     let (job, _) = match app.start_evaluation(request.clone()).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {

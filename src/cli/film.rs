@@ -7,7 +7,8 @@ use super::session::with_app;
 use super::table::table;
 use super::watch::Watch;
 use crate::app::{
-    App, Film, FilmHead, FilmRequest, FilmResult, HeapHead, PageQuery, StepSeen, WeighingsAsked,
+    App, Film, FilmHead, FilmRequest, FilmResult, HeapHead, Labels, PageQuery, StepSeen,
+    WeighingsAsked,
 };
 use flip_core::domain::FieldError;
 use flip_core::domain::bench::BenchKind;
@@ -78,6 +79,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             seed: set.as_ref().map(|_| common.seed),
             training: training.clone(),
             episode: *episode,
+            labels: Labels::default(),
         };
         let (job, _) = app.start_film(request).await?;
         Watch::new().job(app, &job.id, "film").await?;

@@ -4,7 +4,7 @@ use super::Common;
 use super::failure::Failure;
 use super::session::with_reader;
 use super::table::table;
-use crate::app::{Job, JobTimes, PageQuery};
+use crate::app::{Job, JobTimes, JobsWanted, PageQuery};
 use clap::ValueEnum;
 use flip_core::domain::job::{JobKind, JobState};
 
@@ -62,7 +62,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     };
     let kind = arguments.kind.map(JobKind::from);
     let state = arguments.state.map(JobState::from);
-    let jobs = with_reader(common, async |app| Ok(app.jobs(kind, state, page).await?))?;
+    let wanted = JobsWanted { kind, state, label: None };
+    let jobs = with_reader(common, async |app| Ok(app.jobs(wanted, page).await?))?;
     common.print(&jobs, || text(&jobs.items))
 }
 

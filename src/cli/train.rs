@@ -8,7 +8,9 @@ use super::session::with_app;
 use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{App, Error, Job, Order, Preset, Training, TrainingRequest, TrainingResult};
+use crate::app::{
+    App, Error, Job, Labels, Order, Preset, Training, TrainingRequest, TrainingResult,
+};
 use clap::ValueEnum;
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::Under;
@@ -121,6 +123,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         conditions: conditions.clone(),
         as_calibrated: arguments.as_calibrated,
         spoon,
+        labels: Labels::default(),
     };
     let document = |training: Training, seed: u64| {
         let result = training

@@ -10,8 +10,8 @@ use super::train::require_policy;
 use super::watch::Watch;
 use super::weigh_list;
 use crate::app::{
-    App, Asked, Error, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest, Weighing,
-    WeighingRequest,
+    App, Asked, Error, Labels, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest,
+    Weighing, WeighingRequest,
 };
 use crate::telemetry;
 use flip_core::domain::conditions::{Conditions, Under};
@@ -205,6 +205,7 @@ pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> Weighi
         asked: Asked::default(),
         vial_check: VialCheck::Skip,
         reservation: None,
+        labels: Labels::default(),
     }
 }
 

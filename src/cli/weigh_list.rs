@@ -9,7 +9,9 @@ use super::measurements::read;
 use super::session::with_bench;
 use super::table::table;
 use super::weigh::{Arguments, LOOK_EVERY};
-use crate::app::{App, Asked, DoseListRequest, Tolerance, VialCheck, VialReadyRequest, Weighing};
+use crate::app::{
+    App, Asked, DoseListRequest, Labels, Tolerance, VialCheck, VialReadyRequest, Weighing,
+};
 use crate::telemetry;
 use flip_core::domain::FieldError;
 use flip_core::domain::weighing::{Outcome, WeighingState};
@@ -82,6 +84,7 @@ fn request(arguments: &Arguments, name: &str, table: String) -> DoseListRequest 
         policy: arguments.policy.clone(),
         vial_check: VialCheck::Confirm,
         reservation: None,
+        labels: Labels::default(),
         check: false,
     }
 }

@@ -345,9 +345,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
-        tx.insert_job("j", JobKind::Evaluation, ("{}", &[0; 32]), &Subject::default(), None, now())
-            .await
-            .unwrap();
+        tx.insert_job(
+            "j",
+            JobKind::Evaluation,
+            ("{}", &[0; 32]),
+            &Subject::default(),
+            (None, &Labels::default()),
+            now(),
+        )
+        .await
+        .unwrap();
         tx.commit().await.unwrap();
         let late = leased(&store, claim(&store, "j", 0).await);
         let current = leased(&store, claim(&store, "j", 100).await);

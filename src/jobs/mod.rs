@@ -54,6 +54,7 @@ pub use spec::{
 
 use bench::Bench;
 use flip_bench::rig::{Rig, Simulated};
+use flip_core::domain::labels::Labels;
 use flip_store::jobs::Job;
 use flip_store::ledger::Lease;
 use flip_store::pan::Refused;
@@ -182,21 +183,24 @@ impl Jobs {
         Ok(())
     }
 
-    /// Queues a job. `false`: the same job was requested before, and this is it.
+    /// Queues a job. `false`: the same job was requested before, and this is it, with these labels
+    /// too.
     ///
     /// # Errors
     /// [`store::Error`]
-    pub async fn enqueue(&self, spec: &JobSpec) -> store::Result<(Job, bool)> {
-        self.queue(self.shared.store.write().await?, spec, None).await
+    pub async fn enqueue(&self, spec: &JobSpec, labels: &Labels) -> store::Result<(Job, bool)> {
+        self.queue(self.shared.store.write().await?, spec, (None, labels)).await
     }
 
-    /// Queues a job with the specification of one that failed or was cancelled, linked to it.
+    /// Queues a job with the specification and the labels of one that failed or was cancelled, linked
+    /// to it.
     /// `false`: an equal job is queued, running or has succeeded meanwhile, and this is it.
     ///
     /// # Errors
     /// [`store::Error`]
-    pub async fn enqueue_again(&self, spec: &JobSpec, before: &str) -> store::Result<(Job, bool)> {
-        self.queue(self.shared.store.write().await?, spec, Some(before)).await
+    pub async fn enqueue_again(&self, spec: &JobSpec, before: &Job) -> store::Result<(Job, bool)> {
+        let of = (Some(before.id.as_str()), &before.labels);
+        self.queue(self.shared.store.write().await?, spec, of).await
     }
 
     /// As [`Self::enqueue`], or as [`Self::enqueue_again`] if it starts another job again, if the
@@ -208,12 +212,12 @@ impl Jobs {
         &self,
         spec: &JobSpec,
         reservation: Option<&str>,
-        again_of: Option<&str>,
+        of: (Option<&str>, &Labels),
     ) -> store::Result<Result<(Job, bool), Refused>> {
         let mut tx = self.shared.store.write().await?;
         match tx.may_use_bench(reservation, now()).await? {
             Some(refused) => Ok(Err(refused)),
-            None => Ok(Ok(self.queue(tx, spec, again_of).await?)),
+            None => Ok(Ok(self.queue(tx, spec, of).await?)),
         }
     }
 
@@ -221,21 +225,23 @@ impl Jobs {
         &self,
         mut tx: Tx,
         spec: &JobSpec,
-        again_of: Option<&str>,
+        of: (Option<&str>, &Labels),
     ) -> store::Result<(Job, bool)> {
         let (text, sha256) = spec.canonical();
         let (job, created) = tx
-            .insert_job(&new_id(), spec.kind(), (&text, &sha256), &spec.subject(), again_of, now())
+            .insert_job(&new_id(), spec.kind(), (&text, &sha256), &spec.subject(), of, now())
             .await?;
         if created {
             let kind = serde_json::json!(spec.kind());
             let action = format!("start {}", kind.as_str().unwrap_or("job"));
             let mut said = serde_json::json!({ "job": job.id });
-            if let Some(before) = again_of {
+            if let Some(before) = of.0 {
                 said["again_of"] = before.into();
             }
             tx.audit_deed(None, &action, said, now()).await?;
-            tx.commit().await?;
+        }
+        tx.commit().await?;
+        if created {
             self.shared.wake.notify_one();
         }
         Ok((job, created))

@@ -189,7 +189,7 @@ async fn requests_that_cannot_be_met_name_the_field_and_store_nothing() {
     );
     let fixed = [("gravity_scale".to_owned(), 2.0)].into();
     assert_eq!(refused(CalibrationRequest { fixed, ..bare }).await, "fixed.gravity_scale");
-    assert!(app.jobs(None, None, PageQuery::default()).await.unwrap().items.is_empty());
+    assert!(app.jobs(JobsWanted::default(), PageQuery::default()).await.unwrap().items.is_empty());
     app.shutdown().await.unwrap();
 }
 

@@ -246,5 +246,6 @@ pub fn mg(powder: &str, value: f64) -> WeighingRequest {
         asked: Default::default(),
         vial_check: Default::default(),
         reservation: None,
+        labels: Default::default(),
     }
 }

@@ -35,7 +35,7 @@ async fn jobs_wait_in_the_order_of_their_requests_and_say_their_place_and_what_t
         ids.push(app.start_calibration(calibration_of(powder, 1)).await.unwrap().0.id);
     }
     until("the first runs", async || state(&app, &ids[0]).await == JobState::Running).await;
-    let listed = app.jobs(None, None, PageQuery::default()).await.unwrap().items;
+    let listed = app.jobs(JobsWanted::default(), PageQuery::default()).await.unwrap().items;
     let seen: Vec<_> =
         listed.iter().map(|job| (job.subject.powders.join(","), job.place)).collect();
     let expected = [("sugar", Some(2)), ("salt", Some(1)), ("sand", None)];
@@ -138,14 +138,10 @@ async fn a_job_that_nothing_computes_waits_and_keeps_its_place() {
     assert_eq!((job.state, job.place), (JobState::Queued, Some(1)), "{job:?}");
     assert!(job.progress.message.contains("waits"), "{job:?}");
     assert_eq!(app.job(&second.id).await.unwrap().place, Some(2));
-    let queued = app.jobs(None, Some(JobState::Queued), PageQuery::default()).await.unwrap().items;
+    let queued = app.jobs(in_state(JobState::Queued), PageQuery::default()).await.unwrap().items;
     assert_eq!(queued.len(), 2);
     assert!(
-        app.jobs(None, Some(JobState::Running), PageQuery::default())
-            .await
-            .unwrap()
-            .items
-            .is_empty()
+        app.jobs(in_state(JobState::Running), PageQuery::default()).await.unwrap().items.is_empty()
     );
     app.shutdown().await.unwrap();
     drop(app);

@@ -5,6 +5,7 @@ use super::page::{Page, Window};
 use super::row::{Columns, json, word};
 use super::{Result, Store, Tx, now};
 use flip_core::domain::job::{JobKind, JobState, Progress, Subject, seconds_left};
+use flip_core::domain::labels::{LabelWanted, Labels};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
@@ -39,6 +40,9 @@ pub struct Job {
     /// The failed or cancelled job that it starts again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub again_of: Option<String>,
+    /// What callers wrote on it.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
     /// How often a worker has started or resumed it.
     pub attempts: u32,
     /// A cancellation was requested and has not been carried out yet.
@@ -61,6 +65,17 @@ pub struct JobRow {
     pub result: Option<String>,
 }
 
+/// Which jobs. Empty: all.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct JobsWanted {
+    /// Only of this kind.
+    pub kind: Option<JobKind>,
+    /// Only in this state.
+    pub state: Option<JobState>,
+    /// Only with this label of a caller.
+    pub label: Option<LabelWanted>,
+}
+
 /// Jobs that take alike long.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Sort {
@@ -80,19 +95,16 @@ pub fn job_topic(id: &str) -> String {
 }
 
 impl Store {
-    /// Jobs, newest first; of one kind or state if given.
-    pub async fn jobs(
-        &self,
-        kind: Option<JobKind>,
-        state: Option<JobState>,
-        window: Window,
-    ) -> Result<Page<Job>> {
+    /// Jobs, newest first.
+    pub async fn jobs(&self, wanted: &JobsWanted, window: Window) -> Result<Page<Job>> {
+        let JobsWanted { kind, state, label } = wanted;
         // Without specification and result, which may be half a megabyte each.
         let sql = concat!(
-            "SELECT seq, id, kind, subject, state, fraction, message, attempts, cancel_requested, again_of, ",
+            "SELECT seq, id, kind, subject, state, fraction, message, attempts, cancel_requested, again_of, labels, ",
             "claimed_at, claimed_fraction, lease_until, created_at, started_at, finished_at, error ",
             "FROM job WHERE seq < ?1 AND (?3 IS NULL OR kind = ?3) AND (?4 IS NULL OR ?4 = ",
             "CASE WHEN state = 'running' AND lease_until < ?7 THEN 'queued' ELSE state END) AND ",
+            "(?8 IS NULL OR labels ->> ?8 = ?9) AND ",
             shown!("job.kind", "job.id", "?5", "?6"),
             " ORDER BY seq DESC LIMIT ?2"
         );
@@ -104,6 +116,8 @@ impl Store {
             .bind(window.shown.archived())
             .bind(&window.shown.tag)
             .bind(now().unix_ms())
+            .bind(label.as_ref().map(|label| path_of(&label.key)))
+            .bind(label.as_ref().map(|label| &label.value))
             .fetch_all(&self.reader)
             .await?;
         window.page_of(&rows, job)
@@ -213,25 +227,30 @@ impl Store {
 
 impl Tx {
     /// Queue a job. `false`: a job with the same specification is queued, running or has succeeded,
-    /// and that one is returned.
+    /// and that one is returned, with these labels too.
     pub async fn insert_job(
         &mut self,
         id: &str,
         kind: JobKind,
         (spec, spec_sha256): (&str, &[u8]),
         subject: &Subject,
-        again_of: Option<&str>,
+        (again_of, labels): (Option<&str>, &Labels),
         now: Timestamp,
     ) -> Result<(Job, bool)> {
+        let labels = Some(labels).filter(|labels| !labels.is_empty()).map(json).transpose()?;
         let sql =
             "SELECT * FROM job WHERE spec_sha256 = ?1 AND state NOT IN ('failed', 'cancelled')";
         if let Some(row) =
             sqlx::query(sql).bind(spec_sha256).fetch_optional(&mut *self.inner).await?
         {
-            return Ok((job(&row)?, false));
+            let job = job(&row)?;
+            return match labels {
+                Some(labels) => Ok((self.label_job(&job.id, &labels).await?, false)),
+                None => Ok((job, false)),
+            };
         }
-        let sql = "INSERT INTO job (id, kind, spec, spec_sha256, state, message, created_at, subject, again_of) \
-                   VALUES (?1, ?2, ?3, ?4, 'queued', 'waits for a worker', ?5, ?6, ?7) RETURNING *";
+        let sql = "INSERT INTO job (id, kind, spec, spec_sha256, state, message, created_at, subject, again_of, labels) \
+                   VALUES (?1, ?2, ?3, ?4, 'queued', 'waits for a worker', ?5, ?6, ?7, ?8) RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(word(&kind))
@@ -240,9 +259,16 @@ impl Tx {
             .bind(now.unix_ms())
             .bind(json(subject)?)
             .bind(again_of)
+            .bind(labels)
             .fetch_one(&mut *self.inner)
             .await?;
         Ok((self.announce_job(&row).await?, true))
+    }
+
+    /// Write labels on a job that another request made; of equal keys the last one counts.
+    async fn label_job(&mut self, id: &str, labels: &str) -> Result<Job> {
+        let sql = "UPDATE job SET labels = json_patch(coalesce(labels, '{}'), ?2) WHERE id = ?1 RETURNING *";
+        job(&sqlx::query(sql).bind(id).bind(labels).fetch_one(&mut *self.inner).await?)
     }
 
     /// Request that a job end: a queued one is cancelled at once, a running one once its worker
@@ -266,6 +292,11 @@ impl Tx {
         self.emit(&job_topic(&job.id), "state", &job).await?;
         Ok(job)
     }
+}
+
+/// Where SQLite finds the label with this key, which has no quotation marks.
+pub(super) fn path_of(key: &str) -> String {
+    format!("$.\"{key}\"")
 }
 
 fn sort(row: &SqliteRow) -> Result<Sort> {
@@ -294,6 +325,7 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
         place: None,
         expected_s: None,
         again_of: row.plain("again_of")?,
+        labels: row.maybe_json("labels")?.unwrap_or_default(),
         attempts: row.count("attempts")?,
         cancelling: row.plain::<bool>("cancel_requested")? && !state.is_terminal(),
         created_at: row.time("created_at")?,

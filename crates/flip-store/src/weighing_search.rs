@@ -3,12 +3,14 @@
 //! A list is read page by page by keyset: the cursor is the place of the last row, and the next page
 //! holds what comes after that row in the order asked for, also while doses come in.
 
+use super::jobs::path_of;
 use super::labels::Shown;
 use super::page::{Page, Window};
 use super::row::word;
 use super::weighings::{Weighing, weighing};
 use super::{Result, Store};
 use flip_core::domain::bench::BenchKind;
+use flip_core::domain::labels::LabelWanted;
 use flip_core::domain::timestamp::Timestamp;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use serde::{Deserialize, Serialize};
@@ -31,6 +33,9 @@ pub struct WeighingsWanted {
     pub policy: Option<String>,
     /// Only on this kind of bench.
     pub bench: Option<BenchKind>,
+    /// Only with this label of a caller.
+    #[serde(default)]
+    pub label: Option<LabelWanted>,
     /// Only with this state.
     pub state: Option<WeighingState>,
     /// Only with this outcome.
@@ -108,6 +113,12 @@ impl WeighingsWanted {
             if let Some(is) = is {
                 sql.push(format!(" AND {column} = ")).push_bind(is);
             }
+        }
+        if let Some(LabelWanted { key, value }) = &self.label {
+            sql.push(" AND labels ->> ")
+                .push_bind(path_of(key))
+                .push(" = ")
+                .push_bind(value.clone());
         }
         if self.outside {
             sql.push(" AND outcome IN ('under', 'over')");

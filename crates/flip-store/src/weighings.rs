@@ -7,6 +7,7 @@ use crate::audit::{About, OutcomeRecord};
 use flip_core::domain::apparatus::Apparatus;
 use flip_core::domain::bench::{BenchKind, Tick};
 use flip_core::domain::conditions::{Patch, Under};
+use flip_core::domain::labels::Labels;
 use flip_core::domain::timestamp::Timestamp;
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, MeasuredMass, Outcome, WeighRequest, WeighingState};
@@ -42,6 +43,9 @@ pub struct Weighing {
     /// Other requested options.
     #[serde(default, skip_serializing_if = "Asked::is_nothing")]
     pub asked: Asked,
+    /// What the caller wrote on it.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
     /// Whether someone has to confirm that its vial is in; absent for `confirm`.
     #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
     pub vial_check: VialCheck,
@@ -274,8 +278,8 @@ impl Tx {
     /// Store an intent.
     pub async fn insert_weighing(&mut self, intent: &Intent, now: Timestamp) -> Result<Weighing> {
         let sql = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, \
-                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch, asked, vial_check) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11, ?12, ?13, ?14, ?15) RETURNING *";
+                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch, asked, vial_check, labels) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11, ?12, ?13, ?14, ?15, ?16) RETURNING *";
         let request = &intent.request;
         let row = sqlx::query(sql)
             .bind(&intent.id)
@@ -293,6 +297,7 @@ impl Tx {
             .bind(Some(&request.patch).filter(|patch| !patch.is_none()).map(json).transpose()?)
             .bind(Some(&request.asked).filter(|asked| !asked.is_nothing()).map(json).transpose()?)
             .bind(word(&request.vial_check))
+            .bind(Some(&request.labels).filter(|labels| !labels.is_empty()).map(json).transpose()?)
             .fetch_one(&mut *self.inner)
             .await?;
         let weighing = self.announce_weighing(&row).await?;
@@ -456,6 +461,7 @@ pub(super) fn weighing(row: &SqliteRow) -> Result<Weighing> {
         under: row.maybe_json("under")?,
         patch: row.maybe_json("patch")?.unwrap_or_default(),
         asked: row.maybe_json("asked")?.unwrap_or_default(),
+        labels: row.maybe_json("labels")?.unwrap_or_default(),
         vial_check: row.maybe_word("weighing", "vial_check")?.unwrap_or_default(),
         bench: row.maybe_word("weighing", "bench")?,
         state: row.word("weighing", "state")?,

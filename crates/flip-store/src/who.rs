@@ -39,6 +39,20 @@ impl Who {
 
 tokio::task_local! {
     static WHO: Who;
+    static CORRELATION_ID: String;
+}
+
+/// Run this work for a request that its caller knows by this id.
+pub async fn correlated<T>(id: Option<String>, work: impl Future<Output = T>) -> T {
+    match id {
+        Some(id) => CORRELATION_ID.scope(id, work).await,
+        None => work.await,
+    }
+}
+
+/// The caller's own id of the request that the present task works for.
+pub fn correlation_id() -> Option<String> {
+    CORRELATION_ID.try_with(Clone::clone).ok()
 }
 
 /// Run this work on behalf of `who`.

@@ -109,7 +109,7 @@ async fn rows_of(pool: &SqlitePool, table: &str, columns: &str) -> BTreeSet<Stri
 /// What this program reads from a folder: how many rows of each table.
 async fn readable(store: &Store) -> Vec<(&'static str, usize)> {
     let all = || Window { limit: 200, ..Window::default() };
-    let mut jobs = store.jobs(None, None, all()).await.unwrap().items;
+    let mut jobs = store.jobs(&JobsWanted::default(), all()).await.unwrap().items;
     jobs.retain(|job| job.kind != JobKind::Investigation);
     let investigations = store.whole_jobs(JobKind::Investigation, all()).await.unwrap().items;
     let (observations, _) = store.observations_after(None, 0).await.unwrap();
@@ -352,7 +352,7 @@ async fn a_word_that_is_not_known_is_named_with_its_table_and_row() {
     let all = || Window { after: None, limit: 200, shown: Shown::default() };
     let errors = [
         ("measurement m-5 method oracle", store.all_measurements(None).await.unwrap_err()),
-        ("job c-3 kind seance", store.jobs(None, None, all()).await.unwrap_err()),
+        ("job c-3 kind seance", store.jobs(&JobsWanted::default(), all()).await.unwrap_err()),
         ("job c-3 kind seance", store.job("c-3").await.unwrap_err()),
         ("weighing w-6 outcome perhaps", store.weighing("w-6").await.unwrap_err()),
         ("token tk-4 role ghost", store.tokens(all()).await.unwrap_err()),

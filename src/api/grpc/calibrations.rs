@@ -1,6 +1,6 @@
 //! `flip.v1.Calibrations`.
 
-use super::convert::{all, conditions, given, named, observation, page};
+use super::convert::{all, conditions, given, labels, named, observation, page};
 use super::proto::*;
 use super::shakes::stored_shakes;
 use super::{Service, read, write};
@@ -57,6 +57,7 @@ impl calibrations_server::Calibrations for Service {
             simulator,
             fixed: request.fixed.into_iter().collect(),
             conditions: conditions(request.conditions),
+            labels: labels(request.labels),
         };
         Ok(Response::new(self.app.start_calibration(request).await?.into()))
     }

@@ -1,6 +1,6 @@
 //! Probing runs and powder cards in the protocol.
 
-use super::convert::{all, at, conditions};
+use super::convert::{all, at, conditions, labels};
 use super::proto::*;
 use crate::app;
 use flip_core::domain::powder_card as card;
@@ -21,6 +21,7 @@ pub(super) fn asked(asked: CharacteriseRequest) -> (app::CharacterisationRequest
         operator: asked.operator,
         vial_check,
         reservation: asked.reservation,
+        labels: labels(asked.labels),
     };
     (request, asked.idempotency_key)
 }

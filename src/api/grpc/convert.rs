@@ -9,6 +9,7 @@ use flip_core::domain::apparatus::{Apparatus, Stroke, StrokeResponse};
 use flip_core::domain::bench::{BenchKind, Tick};
 use flip_core::domain::conditions::{Condition, Conditions, Under};
 use flip_core::domain::job::{JobKind, JobState};
+use flip_core::domain::labels::Labels;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::{Parameter, ParameterSet};
 use flip_core::domain::pile::Angle;
@@ -238,6 +239,7 @@ same_fields! {
         bench: w.bench.map(bench_kind),
         under: w.under.map(Into::into),
         asked: (!w.asked.is_nothing()).then(|| w.asked.into()),
+        labels: w.labels.0.into_iter().collect(),
         measured: w.measured.map(Into::into),
         apparatus: w.apparatus.map(Into::into),
         vial_check: proto::VialCheck::from(w.vial_check).into(),
@@ -478,6 +480,11 @@ pub fn given<T>(items: Vec<T>) -> Option<Vec<T>> {
 /// Conditions as received, numbers as text.
 pub fn conditions(typed: std::collections::HashMap<String, String>) -> Conditions {
     typed.into_iter().map(|(name, value)| (name, Condition::typed(&value))).collect()
+}
+
+/// Labels as received.
+pub fn labels(written: std::collections::HashMap<String, String>) -> Labels {
+    Labels(written.into_iter().collect())
 }
 
 pub(super) fn at(time: app::Timestamp) -> Option<Timestamp> {

@@ -1,6 +1,6 @@
 //! `flip.v1.Evaluations`.
 
-use super::convert::{all, conditions, given, page};
+use super::convert::{all, conditions, given, labels, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::EvaluationRequest;
@@ -30,6 +30,7 @@ impl evaluations_server::Evaluations for Service {
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),
+            labels: labels(asked.labels),
         };
         Ok(Response::new(self.app.start_evaluation(request).await?.into()))
     }

@@ -1,6 +1,6 @@
 //! `flip.v1.Films`.
 
-use super::convert::{all, page};
+use super::convert::{all, labels, page};
 use super::policies::CHUNK_BYTES;
 use super::proto::*;
 use super::{Service, read, write};
@@ -15,8 +15,16 @@ impl films_server::Films for Service {
         &self,
         request: Request<StartFilmRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        let StartFilmRequest { weighing, spoonful, set, seed, training, episode } = write(request)?;
-        let request = app::FilmRequest { weighing, spoonful, set, seed, training, episode };
+        let asked = write(request)?;
+        let request = app::FilmRequest {
+            weighing: asked.weighing,
+            spoonful: asked.spoonful,
+            set: asked.set,
+            seed: asked.seed,
+            training: asked.training,
+            episode: asked.episode,
+            labels: labels(asked.labels),
+        };
         Ok(Response::new(self.app.start_film(request).await?.into()))
     }
 

@@ -1,6 +1,6 @@
 //! `flip.v1.Investigations`.
 
-use super::convert::{all, named, page};
+use super::convert::{all, labels, named, page};
 use super::proto::*;
 use super::shakes::stored_shakes;
 use super::{Service, read, write};
@@ -23,6 +23,7 @@ impl investigations_server::Investigations for Service {
             shakes_csv,
             shakes,
             budget_replays,
+            labels: written,
         } = write(request)?;
         let shakes = shakes.map(stored_shakes).transpose()?;
         let dates = named::<DateOrder, _>("dates", dates.unwrap_or_default())?;
@@ -36,6 +37,7 @@ impl investigations_server::Investigations for Service {
             simulations,
             budget_runs,
             seed,
+            labels: labels(written),
         };
         Ok(Response::new(self.app.start_investigation(request).await?.into()))
     }

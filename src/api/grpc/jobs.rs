@@ -3,7 +3,7 @@
 use super::convert::{all, at, named, page};
 use super::proto::*;
 use super::{EventStream, Service, after, read, watch, write};
-use crate::app::{self, Topic};
+use crate::app::{self, JobsWanted, LabelWanted, Topic};
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -12,10 +12,11 @@ impl jobs_server::Jobs for Service {
         &self,
         request: Request<ListJobsRequest>,
     ) -> Result<Response<ListJobsResponse>, Status> {
-        let ListJobsRequest { page: wanted, kind, state } = read(request)?;
+        let ListJobsRequest { page: wanted, kind, state, label } = read(request)?;
         let kind = named::<JobKind, _>("kind", kind.unwrap_or_default())?;
         let state = named::<JobState, _>("state", state.unwrap_or_default())?;
-        let found = self.app.jobs(kind, state, page(wanted)).await?;
+        let label = LabelWanted::among(label.as_deref())?;
+        let found = self.app.jobs(JobsWanted { kind, state, label }, page(wanted)).await?;
         let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListJobsResponse { items: all(found.items), next: found.next }))
     }
@@ -89,6 +90,7 @@ impl From<app::Job> for Job {
             place: j.place,
             expected_s: j.expected_s,
             again_of: j.again_of,
+            labels: j.labels.0.into_iter().collect(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! `flip.v1.ReposeMeasurements`.
 
-use super::convert::{all, page};
+use super::convert::{all, labels, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::api::problem::Problem;
@@ -23,6 +23,7 @@ impl repose_measurements_server::ReposeMeasurements for Service {
             rig_json,
             limits_json,
             reservation,
+            labels: written_on,
         } = write(request)?;
         let request = ReposeRequest {
             powder,
@@ -31,6 +32,7 @@ impl repose_measurements_server::ReposeMeasurements for Service {
             rig: written("rig_json", rig_json)?,
             limits: written("limits_json", limits_json)?,
             reservation,
+            labels: labels(written_on),
         };
         Ok(Response::new(self.app.start_repose(request).await?.into()))
     }

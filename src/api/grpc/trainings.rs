@@ -1,6 +1,6 @@
 //! `flip.v1.Trainings`.
 
-use super::convert::{all, conditions, given, named, page};
+use super::convert::{all, conditions, given, labels, named, page};
 use super::evaluations::spoon;
 use super::proto::*;
 use super::{Service, read, write};
@@ -24,6 +24,7 @@ impl trainings_server::Trainings for Service {
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),
+            labels: labels(asked.labels),
             as_calibrated: asked.as_calibrated,
             spoon: spoon(asked.spoon),
         };

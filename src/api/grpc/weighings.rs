@@ -1,13 +1,13 @@
 //! `flip.v1.Weighings`.
 
-use super::convert::{all, conditions, missing, named, page};
+use super::convert::{all, conditions, labels, missing, named, page};
 use super::proto::*;
 use super::shakes::bench_kind;
 use super::{EventStream, Service, after, read, watch, write};
 use crate::api::problem::Problem;
 use crate::app;
 use crate::app::Topic;
-use crate::app::{DoseListRequest, WeighingRequest, WeighingsAsked, WeighingsWanted};
+use crate::app::{DoseListRequest, LabelWanted, WeighingRequest, WeighingsAsked, WeighingsWanted};
 use tonic::{Request, Response, Status};
 
 #[tonic::async_trait]
@@ -39,6 +39,7 @@ impl weighings_server::Weighings for Service {
             policy: asked.policy,
             vial_check,
             reservation: asked.reservation,
+            labels: labels(asked.labels),
             check: asked.check,
         };
         let (list, replayed) = match request.check {
@@ -72,6 +73,7 @@ impl weighings_server::Weighings for Service {
             list: asked.list,
             policy: asked.policy,
             bench: bench.transpose()?,
+            label: LabelWanted::among(asked.label.as_deref())?,
             state: named::<WeighingState, _>("state", asked.state)?,
             outcome: named::<Outcome, _>("outcome", asked.outcome)?,
             outside: asked.outside,
@@ -154,6 +156,7 @@ fn dose(asked: StartWeighingRequest) -> Result<(WeighingRequest, String), Proble
         conditions: conditions(asked.conditions),
         vial_check,
         reservation: asked.reservation,
+        labels: labels(asked.labels),
         asked: asked.asked.map(purpose).unwrap_or_default(),
     };
     Ok((request, asked.idempotency_key))

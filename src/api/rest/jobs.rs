@@ -9,7 +9,7 @@ use super::wait::{WaitParams, waited};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{ArchivedItems, Job, JobKind, JobState, JobTimes, Labelled, Page, Request};
-use crate::app::{App, Topic};
+use crate::app::{App, JobsWanted, LabelWanted, Topic};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::response::Response;
@@ -31,6 +31,8 @@ pub struct JobParams {
     /// Only jobs in this state.
     #[param(inline)]
     state: Option<JobState>,
+    /// Only with this label of a caller, as `plate:A7`.
+    label: Option<String>,
     /// Whether archived ones are listed.
     #[serde(default)]
     #[param(inline)]
@@ -48,9 +50,11 @@ pub async fn list_jobs(
     OriginalUri(uri): OriginalUri,
     Query(params): Query<JobParams>,
 ) -> Result<Response, Problem> {
-    let JobParams { limit, after, kind, state, archived, tag } = params;
+    let JobParams { limit, after, kind, state, label, archived, tag } = params;
     let page = LabelledParams { limit, after, archived, tag };
-    let found = app.jobs(kind.means(), state.means(), page.into()).await?;
+    let label = LabelWanted::among(label.as_deref())?;
+    let wanted = JobsWanted { kind: kind.means(), state: state.means(), label };
+    let found = app.jobs(wanted, page.into()).await?;
     Ok(respond(&uri, app.all_labelled(found).await?))
 }
 

@@ -11,7 +11,7 @@ use crate::api::wire::{
     self, Answer, DoseList, DoseListRequest, Labelled, Request, Tick, VialReadyRequest, Weighing,
     WeighingDetail, WeighingRequest, WeighingsFound,
 };
-use crate::app::{self, App, Topic, WeighingsAsked, WeighingsWanted, document};
+use crate::app::{self, App, LabelWanted, Topic, WeighingsAsked, WeighingsWanted, document};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -42,6 +42,8 @@ pub struct WeighingsParams {
     list: Option<String>,
     /// Only by this policy, by id.
     policy: Option<String>,
+    /// Only with this label of a caller, as `plate:A7`.
+    label: Option<String>,
     /// Only on this kind of bench.
     #[param(inline)]
     bench: Option<wire::BenchKind>,
@@ -95,6 +97,7 @@ pub async fn list_weighings(
         policy,
         text,
         bench: params.bench.means(),
+        label: LabelWanted::among(params.label.as_deref())?,
         state: params.state.means(),
         outcome: params.outcome.means(),
         outside: params.outside,

@@ -6,7 +6,7 @@ use super::feature::CALIBRATION;
 use super::proto::sila2::flip::flowability::powdercalibration::v1::*;
 use super::standard::{CommandConfirmation, CommandExecutionUuid, ExecutionInfo};
 use super::value::{boolean, integer, json, text};
-use super::{Sila, operate};
+use super::{Sila, of_sila, operate};
 use crate::api::wire::Answer;
 use crate::app::{CalibrationMethod, CalibrationRequest, Job, JobKind, JobState};
 use powder_calibration_server::PowderCalibration;
@@ -93,6 +93,7 @@ fn asked(asked: CalibrateParameters) -> Result<CalibrationRequest, Status> {
         particles: CALIBRATE.count("Particles", asked.particles)?,
         trials_max: CALIBRATE.count("TrialsMax", asked.trials_max)?,
         seed: CALIBRATE.count("Seed", asked.seed)?.map(u64::from),
+        labels: of_sila(),
         ..CalibrationRequest::default()
     })
 }

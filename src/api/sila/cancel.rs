@@ -3,8 +3,8 @@
 use super::error::{Call, unanswered};
 use super::feature::CANCEL;
 use super::proto::sila2::org::silastandard::core::commands::cancelcontroller::v1::*;
-use super::{Sila, operate};
-use crate::app::{Error, JobKind, JobState, LIST_LIMIT_MAX, PageQuery};
+use super::{Sila, begun_here, operate};
+use crate::app::{Error, JobKind, JobState, JobsWanted, LIST_LIMIT_MAX, PageQuery};
 use cancel_controller_server::CancelController;
 use tonic::{Request, Response, Status};
 
@@ -57,15 +57,23 @@ impl Sila {
     }
 
     /// Executions that have not ended: the dose in motion first, then the others of the bench from
-    /// the last to the first, so that none begins in between.
+    /// the last to the first, so that none begins in between. What other interfaces began is theirs.
     async fn under_way(&self) -> Result<Vec<String>, Status> {
         let bench = self.app.bench().await.map_err(unanswered)?;
         let waiting = bench.waiting.into_iter().rev().map(|it| it.id);
-        let mut all: Vec<String> = bench.moving.into_iter().chain(waiting).collect();
+        let (mut all, own) = (Vec::new(), begun_here());
+        for id in bench.moving.into_iter().chain(waiting) {
+            let found = self.app.weighing(&id).await.map_err(unanswered)?;
+            if own.is_among(&found.weighing.labels) {
+                all.push(id);
+            }
+        }
         for kind in KINDS {
             for state in [JobState::Queued, JobState::Running] {
                 let page = PageQuery::first(LIST_LIMIT_MAX);
-                let jobs = self.app.jobs(Some(kind), Some(state), page).await;
+                let wanted =
+                    JobsWanted { kind: Some(kind), state: Some(state), label: Some(own.clone()) };
+                let jobs = self.app.jobs(wanted, page).await;
                 all.extend(jobs.map_err(unanswered)?.items.into_iter().map(|job| job.id));
             }
         }

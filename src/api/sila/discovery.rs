@@ -6,7 +6,7 @@ use super::feature::DISCOVERY;
 use super::proto::sila2::flip::discovery::simulatordiscovery::v1::*;
 use super::standard::{CommandConfirmation, CommandExecutionUuid, ExecutionInfo};
 use super::value::{json, real, text};
-use super::{Sila, operate, read};
+use super::{Sila, of_sila, operate, read};
 use crate::api::journal::word;
 use crate::api::wire::Answer;
 use crate::app::{InvestigationRequest, Job, JobKind, JobState, table_text};
@@ -97,6 +97,7 @@ impl Sila {
             simulations: INVESTIGATE.count("Simulations", asked.simulations)?,
             budget_runs: u32::try_from(heaps).ok(),
             seed: INVESTIGATE.count("Seed", asked.seed)?.map(u64::from),
+            labels: of_sila(),
             ..InvestigationRequest::default()
         })
     }

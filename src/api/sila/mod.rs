@@ -34,7 +34,7 @@ mod weighing;
 
 pub use door::{Bound, SilaConfig, bind};
 
-use crate::app::{App, Role};
+use crate::app::{App, LabelWanted, Labels, Role};
 use audience::Audience;
 use binary::Binaries;
 use error::{may, may_clear};
@@ -66,6 +66,17 @@ struct Sila {
     lock: Option<Arc<Lock>>,
     /// Features and commands that need an access token.
     guarded: Arc<[String]>,
+}
+
+/// What tells executions of this interface from what others began.
+fn begun_here() -> LabelWanted {
+    LabelWanted { key: "interface".to_owned(), value: "sila".to_owned() }
+}
+
+/// Labels of what is begun here.
+fn of_sila() -> Labels {
+    let LabelWanted { key, value } = begun_here();
+    Labels([(key, value)].into())
 }
 
 /// The message, if the caller may read.

@@ -7,7 +7,7 @@ use super::identity::lock_identifier;
 use super::proto::sila2::flip::flowability::angleofreposemeasurement::v1::*;
 use super::standard::{CommandConfirmation, CommandExecutionUuid, ExecutionInfo};
 use super::value::{boolean, integer, json, real, text};
-use super::{Sila, operate, read};
+use super::{Sila, of_sila, operate, read};
 use crate::api::wire::Answer;
 use crate::app::{
     FrameUpload, Job, JobKind, JobState, Procedure, ReposeMeasurement, ReposeRequest, Topic,
@@ -151,6 +151,7 @@ fn asked(
         run: MEASURE.count("Run", asked.run)?,
         procedure,
         reservation,
+        labels: of_sila(),
         ..ReposeRequest::default()
     })
 }

@@ -7,7 +7,7 @@ use super::identity::lock_identifier;
 use super::proto::sila2::flip::weighing::powderweighing::v1::*;
 use super::standard::{self, CommandConfirmation, CommandExecutionUuid, ExecutionInfo};
 use super::value::{boolean, integer, json, real, text};
-use super::{Sila, operate, read};
+use super::{Sila, of_sila, operate, read};
 use crate::api::journal::word;
 use crate::api::wire::Answer;
 use crate::app::{
@@ -194,6 +194,7 @@ fn dose(
         },
         vial_check: vial_check(asked.vial_check)?,
         reservation,
+        labels: of_sila(),
     };
     Ok((request, DOSE.text("DoseIdentifier", asked.dose_identifier)?))
 }

@@ -1,6 +1,6 @@
 //! Calibrations, their trials and the parameter sets they found.
 
-use super::{Day, Flowability, Job, Observation, ParameterSetValues, StoredShakes, Under};
+use super::{Day, Flowability, Job, Labels, Observation, ParameterSetValues, StoredShakes, Under};
 use crate::app;
 use flip_core::domain::parameters::COUNT;
 use serde::{Deserialize, Serialize};
@@ -253,11 +253,14 @@ pub struct CalibrationRequest {
     #[serde(default)]
     #[schema(value_type = std::collections::BTreeMap<String, super::Condition>)]
     pub conditions: Day,
+    /// What the caller writes on it, to find it again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
 request! { CalibrationRequest => app::CalibrationRequest {
     powder, repose_deg, sd_deg, n, method, sets, tolerance_deg, particles, trials_max,
-    verify_repeats, readings, seed, observations, shakes, verify_particles, fixed, simulator, conditions,
+    verify_repeats, readings, seed, observations, shakes, verify_particles, fixed, simulator, conditions, labels,
 } }
 
 /// A calibration: its job, its target, and its result once it has succeeded.

@@ -1,9 +1,10 @@
 //! Probing runs, and the card of a powder.
 
-use super::{BenchKind, Day, Timestamp, Verdict, VialCheck};
+use super::{BenchKind, Day, Labels, Timestamp, Verdict, VialCheck};
 use crate::app;
 use flip_core::domain::powder_card;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Which powder to probe.
@@ -44,11 +45,14 @@ pub struct CharacterisationRequest {
     /// The bench reservation under which the request is made, `rs-…`, if any.
     #[serde(default)]
     pub reservation: Option<String>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
 request! { CharacterisationRequest => app::CharacterisationRequest {
     powder, spoonfuls, limit_mg, policy, seed, simulator, conditions, lot, vial, operator,
-    vial_check, reservation,
+    vial_check, reservation, labels,
 } }
 
 /// The card of a powder, and what it is of.

@@ -1,6 +1,6 @@
 //! Lists of doses.
 
-use super::{Asked, Tolerance, VialCheck, WeighingRequest, is_default};
+use super::{Asked, Labels, Tolerance, VialCheck, WeighingRequest, is_default};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -41,10 +41,13 @@ pub struct DoseListRequest {
     /// Only checks the list: nothing is stored, and nothing will move.
     #[serde(default)]
     pub check: bool,
+    /// What the caller writes on every dose, to find them again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
 request! { DoseListRequest => app::DoseListRequest {
-    name, doses, table, tolerance, operator, checked, policy, vial_check, reservation, check,
+    name, doses, table, tolerance, operator, checked, policy, vial_check, reservation, check, labels,
 } }
 
 /// A list of doses as it was understood.

@@ -1,6 +1,6 @@
 //! Evaluations of controllers.
 
-use super::{Conditions, Day, Job, Spoon, Under};
+use super::{Conditions, Day, Job, Labels, Spoon, Under};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -64,11 +64,14 @@ pub struct EvaluationRequest {
     #[serde(default)]
     #[schema(value_type = std::collections::BTreeMap<String, super::Condition>)]
     pub conditions: Day,
+    /// What the caller writes on it, to find it again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
 request! { EvaluationRequest => app::EvaluationRequest {
     policy, controllers, powders, targets_mg, repeats, readability_mg, max_shakes, particles,
-    extensions, as_calibrated, substep_us, spoon, seed, simulator, conditions,
+    extensions, as_calibrated, substep_us, spoon, seed, simulator, conditions, labels,
 } }
 
 /// An evaluation: its job, its settings, and the errors once it has succeeded.

@@ -1,6 +1,6 @@
 //! Films of spoonfuls, heaps and episodes.
 
-use super::{BenchKind, Job};
+use super::{BenchKind, Job, Labels};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -22,9 +22,12 @@ pub struct FilmRequest {
     pub training: Option<String>,
     /// Which episode of it: one of its `kept_episodes`.
     pub episode: Option<u32>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
-request! { FilmRequest => app::FilmRequest { weighing, spoonful, set, seed, training, episode } }
+request! { FilmRequest => app::FilmRequest { weighing, spoonful, set, seed, training, episode, labels } }
 
 /// A film: its job, what it shows, and its numbers once it has succeeded.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]

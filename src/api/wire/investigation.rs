@@ -1,6 +1,6 @@
 //! Investigations of measured data.
 
-use super::{BenchKind, Job, Report, Verdict};
+use super::{BenchKind, Job, Labels, Report, Verdict};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -48,11 +48,14 @@ pub struct InvestigationRequest {
     pub budget_runs: Option<u32>,
     /// Seed; default 1.
     pub seed: Option<u64>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
 request! { InvestigationRequest => app::InvestigationRequest {
     measurements_csv, traces_csv, shakes_csv, shakes, budget_replays, dates, simulations,
-    budget_runs, seed,
+    budget_runs, seed, labels,
 } }
 
 /// Which stored shakes to judge. Empty: all.

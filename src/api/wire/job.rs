@@ -1,6 +1,6 @@
 //! Jobs and events.
 
-use super::{Answer, Timestamp};
+use super::{Answer, Labels, Timestamp, is_default};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -46,11 +46,14 @@ pub struct Job {
     pub finished_at: Option<Timestamp>,
     /// Why it failed, or why its last attempt did.
     pub error: Option<String>,
+    /// What callers wrote on it.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub labels: Labels,
 }
 
 answer! { flip_store::jobs::Job => Job {
     id, kind, subject, state, progress, left_s, place, expected_s, again_of, attempts, cancelling, created_at,
-    started_at, finished_at, error,
+    started_at, finished_at, error, labels,
 } }
 
 /// How long jobs of one sort took on this machine: those that succeeded at the first attempt.

@@ -236,6 +236,27 @@ impl Answer for domain::timestamp::Timestamp {
     }
 }
 
+/// What callers write on weighings and jobs so that their own programs find them: up to 32 values
+/// by key, 4 KiB in all. A key is 1 to 63 letters, digits, `-`, `_`, `.` or `/`, a value up to 255
+/// characters. `correlation_id` is also set by the header `X-Correlation-Id`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(examples(json!({ "plate": "A7" })))]
+pub struct Labels(BTreeMap<String, String>);
+
+impl Answer for domain::labels::Labels {
+    type Wire = Labels;
+    fn wire(self) -> Labels {
+        Labels(self.0)
+    }
+}
+
+impl Request for Labels {
+    type Means = domain::labels::Labels;
+    fn means(self) -> domain::labels::Labels {
+        domain::labels::Labels(self.0)
+    }
+}
+
 /// A rejected input field: which field, what was expected, what to do.
 ///
 /// Every layer that rejects an input reports it with this type; the API turns it into problem+json.

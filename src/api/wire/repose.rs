@@ -1,6 +1,6 @@
 //! Angles of repose by camera.
 
-use super::{Answer, Awaited, BenchKind, Flowability, Job, Timestamp};
+use super::{Answer, Awaited, BenchKind, Flowability, Job, Labels, Timestamp};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -39,10 +39,13 @@ pub struct ReposeRequest {
     /// The bench reservation under which the request is made, `rs-…`, if any.
     #[serde(default)]
     pub reservation: Option<String>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
 request! { ReposeRequest => app::ReposeRequest {
-    powder, run, procedure, rig, limits, reservation,
+    powder, run, procedure, rig, limits, reservation, labels,
 } }
 
 /// A measurement by camera: its job, its piles, and the angle once it has succeeded.

@@ -1,8 +1,9 @@
 //! Trainings and policies.
 
-use super::{Day, Job, Spoon, Timestamp, Under};
+use super::{Day, Job, Labels, Spoon, Timestamp, Under};
 use crate::app;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Result of a training.
@@ -62,11 +63,14 @@ pub struct TrainingRequest {
     /// ignores it.
     #[serde(default)]
     pub spoon: Option<Spoon>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
 request! { TrainingRequest => app::TrainingRequest {
     order, preset, episodes, surrogate_episodes, powders, from, seed, simulator, conditions,
-    as_calibrated, spoon,
+    as_calibrated, spoon, labels,
 } }
 
 /// A training: its job, its levels, and its policy once it has succeeded.

@@ -1,7 +1,7 @@
 //! Doses of powder.
 
 use super::{
-    Apparatus, Day, MassUnit, Patch, Timestamp, ToleranceUnit, Under, VialCheck, is_default,
+    Apparatus, Day, Labels, MassUnit, Patch, Timestamp, ToleranceUnit, Under, VialCheck, is_default,
 };
 use crate::app;
 use serde::{Deserialize, Serialize};
@@ -41,10 +41,13 @@ pub struct WeighingRequest {
     /// The bench reservation under which the request is made, `rs-…`, if any.
     #[serde(default)]
     pub reservation: Option<String>,
+    /// What the caller writes on it, to find it again.
+    #[serde(default)]
+    pub labels: Labels,
 }
 
 request! { WeighingRequest => app::WeighingRequest {
-    powder, target, tolerance, policy, seed, simulator, conditions, asked, vial_check, reservation,
+    powder, target, tolerance, policy, seed, simulator, conditions, asked, vial_check, reservation, labels,
 } }
 
 /// A mass with its unit.
@@ -169,12 +172,15 @@ pub struct Weighing {
     pub started_at: Option<Timestamp>,
     /// When it ended.
     pub finished_at: Option<Timestamp>,
+    /// What callers wrote on it.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub labels: Labels,
 }
 
 answer! { flip_store::weighings::Weighing => Weighing {
     id, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, parameter_set, seed,
     under, patch, asked, vial_check, bench, state, outcome, dispensed_mg, reading_mg, error_mg,
-    shakes, seconds, measured, apparatus, error, created_at, started_at, finished_at,
+    shakes, seconds, measured, apparatus, error, created_at, started_at, finished_at, labels,
 } }
 
 /// A weighing waiting for the bench.

@@ -6,6 +6,7 @@ pub mod bench;
 pub mod bench_check;
 pub mod conditions;
 pub mod job;
+pub mod labels;
 pub mod motion;
 pub mod observable;
 pub mod parameters;

@@ -1,6 +1,7 @@
 //! A weighing: the request and its outcome.
 
 use super::conditions::{Patch, Under};
+use super::labels::Labels;
 use super::vial::VialCheck;
 use serde::{Deserialize, Serialize};
 
@@ -29,6 +30,9 @@ pub struct WeighRequest {
     /// Purpose and conditions of the weighing.
     #[serde(default)]
     pub asked: Asked,
+    /// What the caller writes on it, to find it again.
+    #[serde(default, skip_serializing_if = "Labels::is_empty")]
+    pub labels: Labels,
     /// Whether a person must confirm that the vial is in place.
     #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
     pub vial_check: VialCheck,

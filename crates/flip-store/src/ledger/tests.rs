@@ -4,6 +4,7 @@ use super::{Claim, Claimed, DEATHS_MAX, FAILURES_MAX};
 use crate::jobs::Job;
 use crate::{Error, Result, Store};
 use flip_core::domain::job::{JobKind, JobState, Progress, Subject};
+use flip_core::domain::labels::Labels;
 use flip_core::domain::timestamp::Timestamp;
 use tempfile::TempDir;
 
@@ -32,7 +33,7 @@ impl Ledger {
                 JobKind::Calibration,
                 ("{}", &[7; 32]),
                 &Subject::default(),
-                None,
+                (None, &Labels::default()),
                 at(0),
             )
             .await
@@ -228,7 +229,15 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
         let sha256 = [n as u8; 32];
         ledger
             .write(async |tx| {
-                tx.insert_job(id, kind, ("{}", &sha256), &Subject::default(), None, at(0)).await
+                tx.insert_job(
+                    id,
+                    kind,
+                    ("{}", &sha256),
+                    &Subject::default(),
+                    (None, &Labels::default()),
+                    at(0),
+                )
+                .await
             })
             .await
             .unwrap();
