@@ -223,6 +223,7 @@ struct Inner {
     /// Result of the last readiness check.
     readiness: LastLook,
     laboratory: Option<String>,
+    installation: String,
 }
 
 impl App {
@@ -297,8 +298,10 @@ impl App {
         oidc: Option<Oidc>,
     ) -> store::Result<Self> {
         let keyring = Arc::new(Keyring::of(&store).await?);
+        let installation = store.installation().await?;
         let readiness = LastLook::default();
-        Ok(Self { inner: Arc::new(Inner { store, jobs, keyring, oidc, readiness, laboratory }) })
+        let inner = Inner { store, jobs, keyring, oidc, readiness, laboratory, installation };
+        Ok(Self { inner: Arc::new(inner) })
     }
 
     /// Stops the bench and levels the spoon, lets running jobs save a checkpoint and return to the

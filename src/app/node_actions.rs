@@ -7,8 +7,8 @@ use serde_json::Value;
 
 impl App {
     /// The UUID that names this data folder to other systems, for as long as it exists.
-    pub async fn installation(&self) -> Result<String> {
-        Ok(self.store().installation().await?)
+    pub fn installation(&self) -> &str {
+        &self.inner.installation
     }
 
     /// Stores an action under a new id. Nothing happens yet.

@@ -310,6 +310,7 @@ mod tests {
     use super::super::stop::Stop;
     use super::*;
     use flip_core::domain::job::{JobKind, JobState, Subject};
+    use flip_core::domain::labels::Labels;
     use flip_core::domain::timestamp::Timestamp;
     use flip_store::ledger::Claim;
 

@@ -4,6 +4,7 @@ mod archive;
 mod asked;
 mod audit_search;
 mod authorization;
+mod caller_labels;
 mod characterisations;
 mod checklist;
 mod comparison;

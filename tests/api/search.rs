@@ -19,7 +19,7 @@ async fn crowded() -> Service {
     let sql = format!(
         "WITH RECURSIVE k (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM k WHERE n < {MORE})
          INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg,
-             policy, parameter_set, seed, state, outcome, error_mg, seconds, error, bench, asked, created_at, finished_at)
+             policy, parameter_set, seed, state, outcome, error_mg, seconds, error, bench, asked, labels, created_at, finished_at)
          SELECT printf('w%04d', n), printf('w%04d', n), request_sha256, CASE n % 2 WHEN 0 THEN 'salt' ELSE 'sand' END,
              5 + n % 9, 1, 1, policy, parameter_set, n,
              CASE n % 4 WHEN 3 THEN 'aborted' ELSE 'done' END,
@@ -30,6 +30,7 @@ async fn crowded() -> Service {
              CASE n % 3 WHEN 0 THEN 'devices' ELSE 'emulated' END,
              json_object('lot', 'L' || (n % 5), 'vial', 'V' || n,
                          'operator', CASE n % 3 WHEN 0 THEN 'Ada' WHEN 1 THEN 'Bo_Li' ELSE '100%' END),
+             CASE n % 4 WHEN 0 THEN json_object('plate.row', 'P:' || (n % 7)) END,
              1795000000000 + n * 3600000, 1795000000000 + n * 3600000
          FROM k, (SELECT * FROM weighing LIMIT 1)"
     );
@@ -84,6 +85,7 @@ async fn what_matches_is_what_a_reading_of_all_weighings_finds() {
         ("lot=L3", is("/asked/lot", "L3")),
         ("vial=V7", is("/asked/vial", "V7")),
         ("operator=100%25", is("/asked/operator", "100%")),
+        ("label=plate.row:P:3", is("/labels/plate.row", "P:3")),
         ("bench=devices", is("/bench", "devices")),
         ("outcome=over", is("/outcome", "over")),
         (

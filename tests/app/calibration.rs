@@ -4,7 +4,9 @@ use crate::harness::{
     PATIENCE, calibrated, calibration_of, ended, functions, heap, open, open_in, until,
 };
 use flip::app::{App, CalibrationMethod, CalibrationRequest};
-use flip::app::{Error, Functions, JobState, PageQuery, SERIES_LIMIT_MAX, Topic, Trial};
+use flip::app::{
+    Error, Functions, JobState, JobsWanted, PageQuery, SERIES_LIMIT_MAX, Topic, Trial,
+};
 use flip::jobs::heaps_on_cores;
 use flip_core::domain::observable::{Observable, Observation};
 use futures::StreamExt;

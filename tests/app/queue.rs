@@ -1,7 +1,7 @@
 //! The order of jobs: places in the queue, time left, what a restart leaves, starting again.
 
 use crate::harness::{calibration_of, ended, functions, heap, open, until};
-use flip::app::{App, Error, Functions, JobState, Options, PageQuery, TrainingRequest};
+use flip::app::{App, Error, Functions, JobState, JobsWanted, Options, PageQuery, TrainingRequest};
 use flip::jobs::heaps_on_cores;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
@@ -153,4 +153,8 @@ async fn a_job_that_nothing_computes_waits_and_keeps_its_place() {
     assert_eq!((one.state, two.state), (JobState::Succeeded, JobState::Succeeded));
     assert!(one.finished_at <= two.started_at, "first come, first served, after a restart too");
     app.shutdown().await.unwrap();
+}
+
+fn in_state(state: JobState) -> JobsWanted {
+    JobsWanted { state: Some(state), ..JobsWanted::default() }
 }

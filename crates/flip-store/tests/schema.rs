@@ -8,6 +8,7 @@
 use flip_core::domain::bench_check::CheckKind;
 use flip_core::domain::conditions::{Condition, Under};
 use flip_core::domain::job::JobKind;
+use flip_store::jobs::JobsWanted;
 use flip_store::labels::Shown;
 use flip_store::page::Window;
 use flip_store::spoonfuls::ShakesWanted;

@@ -73,7 +73,7 @@ pub fn stop(app: App) -> Router {
 async fn info(_: Viewer, State(app): State<App>) -> Result<Json<NodeInfo>, Problem> {
     Ok(Json(NodeInfo {
         node_name: "flip",
-        node_id: ulid(&app.installation().await?)?,
+        node_id: ulid(app.installation())?,
         node_description: "Weighs powder by the milligram.",
         node_type: "device",
         module_name: "flip",

@@ -77,6 +77,9 @@ impl ExportParams {
 }
 
 /// List the audit trail, newest first: all of it, or the records that match, and how many they are.
+///
+/// Each record holds the hash of the one before, so that a change is noticed; `GET
+/// /v1/audit/verify` checks them all.
 #[utoipa::path(get, path = "/v1/audit", tag = "audit", params(AuditParams),
     responses((status = 200, description = "A page of records", body = AuditFound)))]
 pub async fn list_audit(
@@ -107,6 +110,8 @@ pub async fn verify_audit(
 }
 
 /// Download the audit trail, oldest first.
+///
+/// One record a line, as JSON, each with the hash of the one before.
 #[utoipa::path(get, path = "/v1/audit.json", tag = "audit", params(ExportParams),
     responses((status = 200, description = "Every record", body = Vec<AuditRecord>)))]
 pub async fn export_audit(
@@ -132,6 +137,8 @@ fn json_items(records: Vec<app::AuditRecord>) -> app::Result<String> {
 }
 
 /// Download the audit trail as CSV, oldest first.
+///
+/// The filters are those of the list. Times are UTC; what a record says is JSON in one column.
 #[utoipa::path(get, path = "/v1/audit.csv", tag = "audit", params(ExportParams),
     responses((status = 200, description = "One line per record", body = String, content_type = "text/csv")))]
 pub async fn export_audit_csv(

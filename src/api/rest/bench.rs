@@ -14,6 +14,9 @@ use axum::extract::State;
 use axum::http::StatusCode;
 
 /// The bench, and whether it may be used.
+///
+/// What moves, what waits, which vial is on the pan, and why nothing starts if it is latched, held
+/// or reserved.
 #[utoipa::path(get, path = "/v1/bench", tag = "bench",
     responses((status = 200, description = "The bench", body = BenchStatus)))]
 pub async fn get_bench(_: Viewer, State(app): State<App>) -> Result<Json<BenchStatus>, Problem> {
@@ -79,6 +82,8 @@ pub async fn reserve_bench(
 }
 
 /// Release the bench before the reservation ends.
+///
+/// Whoever knows its id may; one that has ended already is released too.
 #[utoipa::path(delete, path = "/v1/bench/reservation/{id}", tag = "bench",
     params(("id" = String, Path, description = "Reservation id")),
     responses((status = 200, description = "The bench", body = BenchStatus)))]
@@ -115,6 +120,9 @@ pub async fn get_checklist(_: Viewer, State(app): State<App>) -> Result<Json<Che
 }
 
 /// Replace the checklist, for everyone; an empty one asks for nothing.
+///
+/// Up to 20 items. Weighings asked for later name the items that a person confirmed, in
+/// `asked.checked`.
 #[utoipa::path(put, path = "/v1/bench/checklist", tag = "bench", request_body = NewChecklist,
     responses((status = 200, description = "The checklist", body = Checklist)))]
 pub async fn change_checklist(

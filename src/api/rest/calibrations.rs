@@ -16,6 +16,8 @@ use axum::response::Response;
 use serde::Deserialize;
 
 /// List calibrations, newest first.
+///
+/// With their state, and their result once they have succeeded; without trials.
 #[utoipa::path(get, path = "/v1/calibrations", tag = "calibrations", params(LabelledParams),
     responses((status = 200, description = "A page of calibrations", body = Page<Labelled<Calibration>>)))]
 pub async fn list_calibrations(
@@ -29,6 +31,9 @@ pub async fn list_calibrations(
 }
 
 /// Queue a calibration.
+///
+/// Of a registered powder, or of a bare angle of repose. The same request again is the same job:
+/// its result is the same, bit by bit.
 #[utoipa::path(post, path = "/v1/calibrations", tag = "calibrations", request_body = CalibrationRequest,
     responses((status = 202, description = "Queued; the calibration has the id of its job", body = Job,
         headers(("Location" = String, description = "URL of the calibration"))),
@@ -44,6 +49,9 @@ pub async fn start_calibration(
 }
 
 /// One calibration.
+///
+/// With its parameter sets once it has succeeded, and whether their heaps are as steep as the
+/// measured one.
 #[utoipa::path(get, path = "/v1/calibrations/{id}", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration, same as its job's id")),
     responses((status = 200, description = "The calibration", body = Labelled<Calibration>)))]
@@ -103,6 +111,9 @@ pub async fn compare_calibrations(
 }
 
 /// List the trials of a calibration in order, even while it runs.
+///
+/// A trial is a heap simulated at one place of the parameter space, with its angle and its place in
+/// the search.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/trials", tag = "calibrations",
     params(("id" = String, Path, description = "Id of the calibration"), SeriesParams),
     responses((status = 200, description = "A page of trials", body = Page<Trial>)))]

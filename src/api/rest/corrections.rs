@@ -50,6 +50,8 @@ pub async fn correct_measurement(
 }
 
 /// Withdraw an observation other than the angle.
+///
+/// It stays on record, with who withdrew it and why; calibrations no longer use it.
 #[utoipa::path(post, path = "/v1/powders/{id}/observations/{observation}/withdraw", tag = "powders",
     request_body = WithdrawalRequest,
     params(("id" = String, Path, description = "Powder id"), ("observation" = String, Path, description = "Id of the observation")),
@@ -65,6 +67,8 @@ pub async fn withdraw_observation(
 }
 
 /// Correct an observation other than the angle.
+///
+/// The former one stays on record, with who corrected it and why; calibrations use the new one.
 #[utoipa::path(post, path = "/v1/powders/{id}/observations/{observation}/correct", tag = "powders",
     request_body = CorrectObservation,
     params(("id" = String, Path, description = "Powder id"), ("observation" = String, Path, description = "Id of the wrong observation")),

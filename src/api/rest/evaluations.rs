@@ -14,6 +14,9 @@ use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
 /// List evaluations, newest first.
+///
+/// With their state and, once they have succeeded, the errors of each controller, powder and
+/// target.
 #[utoipa::path(get, path = "/v1/evaluations", tag = "evaluations", params(LabelledParams),
     responses((status = 200, description = "A page of evaluations", body = Page<Labelled<Evaluation>>)))]
 pub async fn list_evaluations(
@@ -27,6 +30,8 @@ pub async fn list_evaluations(
 }
 
 /// Queue an evaluation.
+///
+/// Weighs on the simulated bench, every controller the same powders, targets and seeds.
 #[utoipa::path(post, path = "/v1/evaluations", tag = "evaluations", request_body = EvaluationRequest,
     responses((status = 202, description = "Queued; the evaluation has the id of its job", body = Job,
         headers(("Location" = String, description = "URL of the evaluation"))),
@@ -42,6 +47,8 @@ pub async fn start_evaluation(
 }
 
 /// One evaluation.
+///
+/// With every weighing, and means with 95 % intervals, once it has succeeded.
 #[utoipa::path(get, path = "/v1/evaluations/{id}", tag = "evaluations",
     params(("id" = String, Path, description = "Id of the evaluation, same as its job's id")),
     responses((status = 200, description = "The evaluation", body = Labelled<Evaluation>)))]

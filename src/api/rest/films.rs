@@ -34,6 +34,8 @@ pub struct FilmsParams {
 }
 
 /// List films, newest first.
+///
+/// Of everything, or of one weighing, parameter set or training.
 #[utoipa::path(get, path = "/v1/films", tag = "films", params(FilmsParams),
     responses((status = 200, description = "A page of films", body = Page<Film>)))]
 pub async fn list_films(
@@ -76,6 +78,8 @@ pub async fn start_film(
 }
 
 /// One film, without its grains.
+///
+/// What it shows, and how many frames and grains it has; `…/file` downloads it.
 #[utoipa::path(get, path = "/v1/films/{id}", tag = "films",
     params(("id" = String, Path, description = "Id of the film, same as its job's id")),
     responses((status = 200, description = "The film", body = Film)))]

@@ -17,6 +17,8 @@ use axum::response::{Html, IntoResponse, Response};
 use serde::Deserialize;
 
 /// List investigations, newest first, without their reports.
+///
+/// With their verdict and its sentence once they have succeeded.
 #[utoipa::path(get, path = "/v1/investigations", tag = "investigations", params(LabelledParams),
     responses((status = 200, description = "A page of investigations", body = Page<Labelled<Investigation>>)))]
 pub async fn list_investigations(
@@ -30,6 +32,9 @@ pub async fn list_investigations(
 }
 
 /// Queue an investigation of a campaign, or of all stored measurements.
+///
+/// Looks in measurements for what the simulator gets wrong and names the cause if the data tell.
+/// The same request again is the same job.
 #[utoipa::path(post, path = "/v1/investigations", tag = "investigations", request_body = InvestigationRequest,
     responses((status = 202, description = "Queued; the investigation has the id of its job", body = Job,
         headers(("Location" = String, description = "URL of the investigation"))),
@@ -43,6 +48,9 @@ pub async fn start_investigation(
 }
 
 /// One investigation, with its report once it has succeeded.
+///
+/// The report has the verdict, causes with their probabilities, effects with intervals, and the
+/// experiment that would tell more.
 #[utoipa::path(get, path = "/v1/investigations/{id}", tag = "investigations",
     params(("id" = String, Path, description = "Id of the investigation, same as its job's id")),
     responses((status = 200, description = "The investigation", body = Labelled<Investigation>)))]
@@ -83,6 +91,8 @@ pub struct ReportParams {
 }
 
 /// The report as a self-contained page.
+///
+/// HTML with its pictures and style inside: it can be saved and sent.
 #[utoipa::path(get, path = "/v1/investigations/{id}/report.html", tag = "investigations",
     params(("id" = String, Path, description = "Id of the investigation"), ReportParams),
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),

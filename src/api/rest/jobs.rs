@@ -42,6 +42,9 @@ pub struct JobParams {
 }
 
 /// List jobs, newest first.
+///
+/// Of one kind, state or label, if given. Those that wait have their place in the queue and how
+/// long they are expected to take.
 #[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(JobParams),
     responses((status = 200, description = "A page of jobs", body = Page<Labelled<Job>>)))]
 pub async fn list_jobs(
@@ -71,6 +74,8 @@ pub async fn list_job_times(
 }
 
 /// One job.
+///
+/// With `wait` the answer comes once the job has ended, or after so many seconds as it then is.
 #[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path, description = "Job id"), WaitParams),
     responses((status = 200, description = "The job", body = Labelled<Job>)))]
 pub async fn get_job(

@@ -50,6 +50,9 @@ pub async fn list_labels(
 }
 
 /// The label of one thing; an empty one if nobody has named it.
+///
+/// Name, note, tags, and whether lists hide it. What callers write for their programs is in
+/// `labels` of weighings and jobs.
 #[utoipa::path(get, path = "/v1/labels/{kind}/{id}", tag = "labels",
     params(("kind" = LabelKind, Path, description = "What it is on"), ("id" = String, Path, description = "Id of that")),
     responses((status = 200, description = "The label", body = Label)))]

@@ -12,6 +12,8 @@ use axum::extract::State;
 use axum::http::StatusCode;
 
 /// Where people can log in.
+///
+/// The name of the provider, if the service has one; otherwise people use tokens.
 #[utoipa::path(get, path = "/v1/login", tag = "tokens",
     responses((status = 200, description = "The provider, if there is one", body = LogInOffer)))]
 pub async fn get_log_in(State(app): State<App>) -> Json<LogInOffer> {

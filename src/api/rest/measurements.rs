@@ -17,6 +17,8 @@ use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 
 /// List the measurements of a powder, oldest first.
+///
+/// Angles of repose in degrees, with their spread, number of repeats, method, day and source.
 #[utoipa::path(get, path = "/v1/powders/{id}/measurements", tag = "powders",
     params(("id" = String, Path, description = "Powder id"), ListParams),
     responses((status = 200, description = "A page of measurements", body = Page<Measurement>)))]
@@ -64,6 +66,9 @@ pub async fn list_observations(
 }
 
 /// Register a measurement of a powder other than its angle of repose.
+///
+/// A flow time, a pile height, a drained angle or a mass per shake; calibrations by `emulator` meet
+/// them together with the angle.
 #[utoipa::path(post, path = "/v1/powders/{id}/observations", tag = "powders", request_body = NewObservation,
     params(("id" = String, Path, description = "Powder id")),
     responses((status = 201, description = "The observation", body = PowderObservation,
@@ -116,6 +121,9 @@ pub async fn import_measurements(
 }
 
 /// Download all measurements of all powders as a CSV file that can be imported.
+///
+/// UTF-8 with a header; `POST /v1/measurements/import` reads it back and leaves out what is stored
+/// already.
 #[utoipa::path(get, path = "/v1/measurements.csv", tag = "powders",
     responses((status = 200, description = "One summary per row", body = String, content_type = "text/csv")))]
 pub async fn export_measurements(_: Viewer, State(app): State<App>) -> Result<Response, Problem> {
@@ -123,6 +131,8 @@ pub async fn export_measurements(_: Viewer, State(app): State<App>) -> Result<Re
 }
 
 /// Download all measurements of a powder as a CSV file that can be imported.
+///
+/// The columns are those of the file of all powders.
 #[utoipa::path(get, path = "/v1/powders/{id}/measurements.csv", tag = "powders",
     params(("id" = String, Path, description = "Powder id")),
     responses((status = 200, description = "One summary per row", body = String, content_type = "text/csv")))]

@@ -16,6 +16,8 @@ use flip_core::domain::parameters::PARAMETERS;
 use serde::Deserialize;
 
 /// The nine parameters of a simulated powder, with their published bounds.
+///
+/// With unit, meaning and the default of each.
 #[utoipa::path(get, path = "/v1/parameters", tag = "parameters",
     responses((status = 200, description = "The nine parameters, in canonical order", body = Page<Parameter>)))]
 pub async fn list_parameters(_: Viewer) -> Json<Page<Parameter>> {
@@ -37,6 +39,8 @@ pub struct SetParams {
 }
 
 /// List calibrated parameter sets, newest first.
+///
+/// With the powder, the calibration that found each, and the simulated angle.
 #[utoipa::path(get, path = "/v1/parameter-sets", tag = "parameters", params(SetParams),
     responses((status = 200, description = "A page of parameter sets", body = Page<CalibratedSet>)))]
 pub async fn list_parameter_sets(
@@ -50,6 +54,8 @@ pub async fn list_parameter_sets(
 }
 
 /// One calibrated parameter set.
+///
+/// The nine parameters, and the angle that its heaps have in the simulator, degrees.
 #[utoipa::path(get, path = "/v1/parameter-sets/{id}", tag = "parameters",
     params(("id" = String, Path, description = "Parameter set id, `ps-…`")),
     responses((status = 200, description = "The parameter set", body = CalibratedSet)))]

@@ -16,6 +16,8 @@ use axum::response::{IntoResponse, Response};
 pub(super) const IMMUTABLE: &str = "private, max-age=31536000, immutable";
 
 /// List policies, newest first.
+///
+/// Learnt ones, the one that ships, and imported ones, with their manifests.
 #[utoipa::path(get, path = "/v1/policies", tag = "policies", params(LabelledParams),
     responses((status = 200, description = "A page of policies", body = Page<Labelled<Policy>>)))]
 pub async fn list_policies(
@@ -49,6 +51,9 @@ pub async fn import_policy(
 }
 
 /// One policy.
+///
+/// With its manifest: settings, origin, and the range of actions. `…/weights` downloads the
+/// network.
 #[utoipa::path(get, path = "/v1/policies/{id}", tag = "policies",
     params(("id" = String, Path, description = "Policy id, `p-…`")),
     responses((status = 200, description = "The policy", body = Labelled<Policy>)))]

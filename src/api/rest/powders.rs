@@ -13,6 +13,8 @@ use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
 /// List powders, oldest first.
+///
+/// With the angle of repose that calibrations aim at, if one was measured.
 #[utoipa::path(get, path = "/v1/powders", tag = "powders", params(LabelledParams),
     responses((status = 200, description = "A page of powders", body = Page<Labelled<Powder>>)))]
 pub async fn list_powders(
@@ -26,6 +28,9 @@ pub async fn list_powders(
 }
 
 /// Register a powder.
+///
+/// Its id is a word; it is shown by its name, which may be in any script. An angle of repose is
+/// added as a measurement.
 #[utoipa::path(post, path = "/v1/powders", tag = "powders", request_body = NewPowder,
     responses((status = 201, description = "The powder", body = Powder,
         headers(("Location" = String, description = "URL of the powder"))),
@@ -40,6 +45,8 @@ pub async fn create_powder(
 }
 
 /// One powder with its measurements and calibrated sets.
+///
+/// Measurements that were corrected or withdrawn are not among them; they stay on record.
 #[utoipa::path(get, path = "/v1/powders/{id}", tag = "powders", params(("id" = String, Path, description = "Powder id")),
     responses((status = 200, description = "The powder", body = Labelled<PowderDetail>)))]
 pub async fn get_powder(

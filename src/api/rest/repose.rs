@@ -54,6 +54,8 @@ impl Request for NewFrame {
 }
 
 /// List measurements by camera, newest first, without their piles.
+///
+/// With their state, and the angle with its uncertainty once they have succeeded.
 #[utoipa::path(get, path = "/v1/repose-measurements", tag = "powders", params(LabelledParams),
     responses((status = 200, description = "A page of measurements", body = Page<Labelled<ReposeMeasurement>>)))]
 pub async fn list_repose_measurements(
@@ -86,6 +88,8 @@ pub async fn start_repose_measurement(
 }
 
 /// One measurement by camera, with its piles.
+///
+/// With `awaits` while it waits for frames: which pile, and how many.
 #[utoipa::path(get, path = "/v1/repose-measurements/{id}", tag = "powders",
     params(("id" = String, Path, description = "Id of the measurement, same as its job's id")),
     responses((status = 200, description = "The measurement", body = Labelled<ReposeMeasurement>)))]
@@ -98,6 +102,10 @@ pub async fn get_repose_measurement(
 }
 
 /// Upload a frame of the pile that is waiting for frames; at most 16 MiB.
+///
+/// Depth as a 16-bit grey PNG or raw Z16 values, colour as an 8-bit RGB PNG if there is any, and a
+/// description of the camera as JSON. A frame that does not show the pile is refused with the
+/// reason.
 #[utoipa::path(post, path = "/v1/repose-measurements/{id}/frames", tag = "powders", request_body = NewFrame,
     params(("id" = String, Path, description = "Id of the measurement")),
     responses((status = 202, description = "Number of frames the pile has now", body = Awaited),
@@ -116,6 +124,8 @@ pub async fn add_frame(
 }
 
 /// Download one part of a raw frame, as received.
+///
+/// `part` is `depth`, `colour` or `description`.
 #[utoipa::path(get, path = "/v1/repose-measurements/{id}/piles/{pile}/frames/{frame}/{part}", tag = "powders",
     params(("id" = String, Path, description = "Id of the measurement"),
         ("pile" = u32, Path, description = "Number of the pile, from 1"), ("frame" = u32, Path, description = "Number of the frame, from 1"),
@@ -142,6 +152,8 @@ pub async fn download_frame(
 }
 
 /// Compare automated with manual measurements, for every powder measured both ways.
+///
+/// Automated less manual, degrees, with its standard error; the last measurement by each counts.
 #[utoipa::path(get, path = "/v1/measurements/comparison", tag = "powders",
     responses((status = 200, description = "One row per powder", body = Vec<Compared>)))]
 pub async fn compare_methods(

@@ -92,6 +92,8 @@ pub async fn list_shakes(
 }
 
 /// Download shakes as a CSV file that can be imported.
+///
+/// One row a shake: pitch, stroke, and the mass that fell, mg. The filters are those of the list.
 #[utoipa::path(get, path = "/v1/shakes.csv", tag = "shakes", params(ShakesFilter),
     responses((status = 200, description = "One shake per row", body = String, content_type = "text/csv")))]
 pub async fn export_shakes(

@@ -15,6 +15,9 @@ use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
 /// List simulator versions, newest first.
+///
+/// Each extends the base by the mechanisms of a cause that an investigation found, with their
+/// amplitudes.
 #[utoipa::path(get, path = "/v1/simulators", tag = "investigations", params(LabelledParams),
     responses((status = 200, description = "A page of versions", body = Page<Labelled<SimulatorVersion>>)))]
 pub async fn list_simulators(
@@ -28,6 +31,8 @@ pub async fn list_simulators(
 }
 
 /// One simulator version.
+///
+/// `body` has its mechanisms with their amplitudes, as the investigation wrote them.
 #[utoipa::path(get, path = "/v1/simulators/{id}", tag = "investigations",
     params(("id" = String, Path, description = "Version, `sv-…`")),
     responses((status = 200, description = "The version", body = Labelled<SimulatorVersion>)))]
@@ -40,6 +45,8 @@ pub async fn get_simulator(
 }
 
 /// The version used where none is named: the base until another is chosen.
+///
+/// With when it was chosen and why, and which was used before.
 #[utoipa::path(get, path = "/v1/simulators/current", tag = "investigations",
     responses((status = 200, description = "The current version", body = CurrentSimulator)))]
 pub async fn get_current_simulator(

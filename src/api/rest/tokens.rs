@@ -31,6 +31,8 @@ impl Token {
 }
 
 /// Create a token.
+///
+/// The answer has the secret, this one time: the service keeps only its hash.
 #[utoipa::path(post, path = "/v1/tokens", tag = "tokens", request_body = NewToken,
     responses((status = 201, description = "The token; its secret is not shown again", body = Token)))]
 pub async fn create_token(
@@ -42,6 +44,8 @@ pub async fn create_token(
 }
 
 /// List tokens, newest first, including ended ones; secrets are never shown.
+///
+/// With role, end and last use; those of people who logged in with who they are.
 #[utoipa::path(get, path = "/v1/tokens", tag = "tokens", params(ListParams),
     responses((status = 200, description = "A page of tokens", body = Page<TokenEntry>)))]
 pub async fn list_tokens(

@@ -13,6 +13,8 @@ use axum::extract::{OriginalUri, State};
 use axum::response::Response;
 
 /// List trainings, newest first.
+///
+/// With their state, and their policy once they have succeeded; without episodes.
 #[utoipa::path(get, path = "/v1/trainings", tag = "trainings", params(LabelledParams),
     responses((status = 200, description = "A page of trainings", body = Page<Labelled<Training>>)))]
 pub async fn list_trainings(
@@ -26,6 +28,9 @@ pub async fn list_trainings(
 }
 
 /// Queue a training.
+///
+/// Soft Actor-Critic on simulated powders, from free-flowing to cohesive. The same request again is
+/// the same job.
 #[utoipa::path(post, path = "/v1/trainings", tag = "trainings", request_body = TrainingRequest,
     responses((status = 202, description = "Queued; the training has the id of its job", body = Job,
         headers(("Location" = String, description = "URL of the training"))),
@@ -41,6 +46,8 @@ pub async fn start_training(
 }
 
 /// One training.
+///
+/// With its levels and settings, and its policy once it has succeeded.
 #[utoipa::path(get, path = "/v1/trainings/{id}", tag = "trainings",
     params(("id" = String, Path, description = "Id of the training, same as its job's id")),
     responses((status = 200, description = "The training", body = Labelled<Training>)))]
@@ -53,6 +60,8 @@ pub async fn get_training(
 }
 
 /// List the episodes of a training in order, even while it runs.
+///
+/// Reward, error in mg and number of shakes of each, with the powder that it dosed.
 #[utoipa::path(get, path = "/v1/trainings/{id}/episodes", tag = "trainings",
     params(("id" = String, Path, description = "Id of the training"), SeriesParams),
     responses((status = 200, description = "A page of episodes", body = Page<Episode>)))]

@@ -40,6 +40,8 @@ pub async fn add_webhook(
 }
 
 /// List webhooks, the oldest first; secrets are never shown.
+///
+/// With the error of the last message, and since when messages fail.
 #[utoipa::path(get, path = "/v1/webhooks", tag = "webhooks",
     responses((status = 200, description = "All of them", body = Vec<Webhook>)))]
 pub async fn list_webhooks(
@@ -50,6 +52,8 @@ pub async fn list_webhooks(
 }
 
 /// Remove a webhook: it gets no further message.
+///
+/// Messages that are on their way may still arrive.
 #[utoipa::path(delete, path = "/v1/webhooks/{id}", tag = "webhooks",
     params(("id" = String, Path, description = "Webhook id")),
     responses((status = 204, description = "It is gone")))]

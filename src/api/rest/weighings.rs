@@ -78,6 +78,9 @@ pub struct WeighingsParams {
 }
 
 /// List weighings: all, or those that match, and how many they are.
+///
+/// The newest first unless asked otherwise. All filters hold together; the total counts what
+/// matches on all pages.
 #[utoipa::path(get, path = "/v1/weighings", tag = "weighings", params(WeighingsParams),
     responses((status = 200, description = "A page of weighings", body = WeighingsFound)))]
 pub async fn list_weighings(
@@ -191,6 +194,8 @@ pub struct ListParams {
 }
 
 /// The certificate of a list of doses that have all ended: a self-contained page to print.
+///
+/// One page of A4 or more, with each dose, its uncertainty, and places to sign.
 #[utoipa::path(get, path = "/v1/weighings/certificate.html", tag = "weighings", params(ListParams),
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),
         (status = 409, description = "A dose of it has not ended", body = Problem, content_type = "application/problem+json")))]
@@ -204,6 +209,8 @@ pub async fn get_list_certificate(
 }
 
 /// One weighing, with its ticks so far.
+///
+/// With `wait` the answer comes once it has ended, or after so many seconds as it then is.
 #[utoipa::path(get, path = "/v1/weighings/{id}", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id"), WaitParams),
     responses((status = 200, description = "The weighing", body = Labelled<WeighingDetail>)))]
@@ -224,6 +231,9 @@ pub async fn get_weighing(
 }
 
 /// The ticks of a weighing: the actions of the bench and the balance readings.
+///
+/// In order, with the time on the bench in seconds, the pitch and stroke of each action, and each
+/// reading in mg.
 #[utoipa::path(get, path = "/v1/weighings/{id}/trace", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The ticks in order", body = Vec<Tick>),
@@ -237,6 +247,8 @@ pub async fn get_trace(
 }
 
 /// Download the ticks of a weighing as CSV.
+///
+/// One row a tick; the columns are those of docs/reference/csv.md.
 #[utoipa::path(get, path = "/v1/weighings/{id}/trace.csv", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "One line per tick", body = String, content_type = "text/csv"),
@@ -274,6 +286,9 @@ pub(in crate::api) fn trace_csv(ticks: &[bench::Tick]) -> String {
 }
 
 /// The certificate of a weighing that has ended: a self-contained page to print.
+///
+/// What was asked, weighed and by what, the uncertainty (k = 2), and whether the bench was
+/// simulated, emulated or real.
 #[utoipa::path(get, path = "/v1/weighings/{id}/certificate.html", tag = "weighings",
     params(("id" = String, Path, description = "Weighing id")),
     responses((status = 200, description = "The page", body = String, content_type = "text/html"),

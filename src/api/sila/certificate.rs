@@ -108,7 +108,7 @@ mod tests {
     #[test]
     fn the_certificate_stays_until_an_address_is_new() {
         let data = tempfile::tempdir().unwrap();
-        let plate = NamePlate::of(data.path()).unwrap();
+        let plate = NamePlate::of(data.path(), "0194f1c5-0000-4000-a000-000000000000").unwrap();
         let names = |list: &[&str]| list.iter().map(|it| (*it).to_owned()).collect::<Vec<_>>();
         let made = |list: &[&str]| {
             let tls = own(&plate, &names(list)).unwrap();

@@ -110,7 +110,7 @@ pub struct Bound {
 /// address is not free, [`ServeError::Broken`] if the data folder cannot be written.
 pub fn bind(app: &App, config: SilaConfig) -> Result<Bound, ServeError> {
     config.check(app).map_err(ServeError::Refused)?;
-    let plate = NamePlate::of(&config.data_dir)?;
+    let plate = NamePlate::of(&config.data_dir, app.installation())?;
     let listener = listener(config.listen)?;
     Ok(Bound { config, listener, plate })
 }

@@ -1,5 +1,6 @@
 //! Who the server is: its UUID and name, kept in the data folder so that it is the same server after
-//! a restart.
+//! a restart. The UUID is the installation's, by which workcells of MADSci know it too; a folder of
+//! an earlier version keeps its own.
 
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -47,17 +48,17 @@ pub struct HeldLock {
 }
 
 impl NamePlate {
-    /// That of a data folder; made the first time.
+    /// That of a data folder; made the first time, with the installation's UUID.
     ///
     /// # Errors
     /// The file cannot be read or written.
-    pub fn of(data_dir: &Path) -> io::Result<Self> {
+    pub fn of(data_dir: &Path, installation: &str) -> io::Result<Self> {
         let folder = data_dir.join(FOLDER);
         fs::create_dir_all(&folder)?;
         let kept = match fs::read(folder.join(FILE)) {
             Ok(text) => serde_json::from_slice(&text)?,
             Err(error) if error.kind() == ErrorKind::NotFound => Kept {
-                uuid: Uuid::now_v7(),
+                uuid: installation.parse().map_err(io::Error::other)?,
                 name: NAME.to_owned(),
                 certified: Vec::new(),
                 lock: None,
@@ -138,10 +139,11 @@ mod tests {
     #[test]
     fn the_server_is_the_same_after_a_restart() {
         let data = tempfile::tempdir().unwrap();
-        let first = NamePlate::of(data.path()).unwrap();
-        assert_eq!(first.name(), NAME);
+        let ids = [1, 2].map(|it| Uuid::from_u128(it).to_string());
+        let first = NamePlate::of(data.path(), &ids[0]).unwrap();
+        assert_eq!((first.uuid().to_string(), first.name().as_str()), (ids[0].clone(), NAME));
         first.set_name("bench 3").unwrap();
-        let again = NamePlate::of(data.path()).unwrap();
+        let again = NamePlate::of(data.path(), &ids[1]).unwrap();
         assert_eq!((again.uuid(), again.name().as_str()), (first.uuid(), "bench 3"));
     }
 }
