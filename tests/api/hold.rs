@@ -95,6 +95,9 @@ async fn a_reservation_keeps_others_out_over_both_transports() {
         (release.status().as_u16(), &release.json::<Value>().await.unwrap()["reservation"]),
         (200, &json!(null))
     );
+    // The same request once the reservation has ended is the same dose.
+    let again = service.weigh("own", &salt()).await;
+    assert_eq!(again.headers()["idempotency-replayed"], "true");
     let request = proto::ReleaseBenchRequest { id: id.to_owned() };
     let gone = bench.release_bench(as_operator(&service, request).await).await.unwrap_err();
     assert_eq!(gone.code(), Code::NotFound);

@@ -14,7 +14,7 @@ use flip::api::sila::proto::sila2::flip::weighing::powderweighing::v1::DosePowde
 use flip::api::sila::proto::sila2::flip::weighing::powderweighing::v1::powder_weighing_client::PowderWeighingClient;
 use flip::api::sila::proto::sila2::org::silastandard::core::commands::cancelcontroller::v1::cancel_controller_client::CancelControllerClient;
 use flip::api::sila::proto::sila2::org::silastandard::core::commands::cancelcontroller::v1::{
-    CancelCommandParameters, DataTypeUuid,
+    CancelAllParameters, CancelCommandParameters, DataTypeUuid,
 };
 use flip::api::sila::proto::sila2::org::silastandard::core::silaservice::v1::si_la_service_client::SiLaServiceClient;
 use flip::api::sila::proto::sila2::org::silastandard::core::silaservice::v1::GetServerUuidParameters;
@@ -215,6 +215,28 @@ async fn a_cancelled_dose_has_stopped_and_the_bench_is_held() {
     assert_eq!((&document["id"], &document["outcome"]), (&id.into(), &"stopped".into()));
     let held = async { while states.next().await.unwrap().unwrap().state != text("Held") {} };
     tokio::time::timeout(Duration::from_secs(20), held).await.unwrap();
+    service.stop().await;
+}
+
+#[tokio::test]
+async fn cancel_all_ends_what_was_begun_here_and_nothing_else() {
+    let (service, channel, _kept) = service().await;
+    let hold = service.hold_bench();
+    let dose = serde_json::json!({
+        "powder": "salt", "target": { "value": 15.0, "unit": "mg" }, "tolerance": { "lower": 1, "upper": 1, "unit": "mg" },
+    });
+    let moving: serde_json::Value = service.weigh("of REST", &dose).await.json().await.unwrap();
+    service.until_pouring().await;
+    let ours = begin(&service, &channel, "of SiLA").await.unwrap();
+    let mut cancel = CancelControllerClient::new(channel.clone());
+    cancel.cancel_all(as_operator(&service, CancelAllParameters {}).await).await.unwrap();
+    let status = PowderWeighingClient::new(channel).dose_powder_result(execution(&ours)).await;
+    let stopped = format!("{WEIGHING}/DefinedExecutionError/DoseStopped");
+    assert_eq!(defined(&status.unwrap_err()).0, stopped);
+    drop(hold);
+    let path = format!("/v1/weighings/{}?wait=60", moving["id"].as_str().unwrap());
+    let ended: serde_json::Value = service.get(&path).await.json().await.unwrap();
+    assert_eq!(ended["weighing"]["outcome"], "within");
     service.stop().await;
 }
 
