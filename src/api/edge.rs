@@ -79,7 +79,9 @@ pub async fn edge(request: Request, next: Next) -> Response {
 
 /// The caller's own id of a request.
 fn correlation_id(headers: &HeaderMap) -> Result<Option<String>, FieldError> {
-    let Some((name, value)) = CORRELATION.iter().find_map(|it| Some((it, headers.get(it)?))) else {
+    let Some((name, value)) =
+        CORRELATION.into_iter().find_map(|name| headers.get(&name).map(|value| (name, value)))
+    else {
         return Ok(None);
     };
     let visible = |text: &&str| text.bytes().all(|byte| byte.is_ascii_graphic());

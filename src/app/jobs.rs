@@ -3,7 +3,7 @@
 use super::caller_labels::written;
 use super::{App, Error, Result};
 use crate::jobs::{JobSpec, SIMULATOR, lane_of};
-use flip_core::domain::job::JobState;
+use flip_core::domain::job::{JobKind, JobState};
 use flip_core::domain::labels::Labels;
 use flip_store as store;
 use flip_store::jobs::{Job, JobRow, JobsWanted};

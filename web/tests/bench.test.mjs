@@ -2,7 +2,7 @@
 import assert from 'node:assert/strict'
 import { readFileSync } from 'node:fs'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, fits, openBrowser, picture, tableCells, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, csvAsShown, fits, openBrowser, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page
@@ -53,11 +53,11 @@ describe('the bench', () => {
     await pretend({ kind: 'devices', devices: { balance: 'Mettler Toledo XPR205, no. 42', arm: 'Franka FR3' }, moving: made.weighing })
     await chromium.open(page, 'bench')
     await unlock(page, service.token)
-    assert.deepEqual(await facts(page.getByLabel('Devices', { exact: true })), { Balance: 'Mettler Toledo XPR205, no. 42', Arm: 'Franka FR3' })
+    await becomes(() => facts(page.getByLabel('Devices', { exact: true })), { Balance: 'Mettler Toledo XPR205, no. 42', Arm: 'Franka FR3' })
     await page.getByText('This button is not an emergency stop; the emergency stop is wired.').waitFor()
     const stop = page.getByRole('button', { name: 'Stop', exact: true })
     await page.evaluate(() => scrollTo(0, document.body.scrollHeight))
-    assert.match(await page.title(), /^Moving · Devices and record · FLIP$/)
+    await becomes(() => page.title(), /^Moving · Devices and record · FLIP$/)
     const { y } = await stop.boundingBox()
     assert.ok(y >= 0 && y < 900, `the button is at ${y}`)
     await picture(page, 'bench-moving')
@@ -99,11 +99,11 @@ describe('the wall screen', () => {
     await page.getByRole('link', { name: 'Wall screen' }).click()
     await page.getByRole('heading', { name: 'Moving', level: 1 }).waitFor()
     const digits = page.locator('.wall .digits')
+    await becomes(async () => Number((await digits.textContent()).replace('−', '-')), ticks.at(-1).reading.mass_mg)
     const shown = await digits.textContent()
-    assert.equal(Number(shown.replace('−', '-')), ticks.at(-1).reading.mass_mg)
     assert.ok(parseFloat(await digits.evaluate((it) => getComputedStyle(it).fontSize)) >= 96)
     const meter = page.getByRole('meter', { name: 'Mass in the vial, mg' })
-    assert.equal(await meter.getAttribute('aria-valuetext'), `${shown} of ${weighing.target_mg.toFixed(2)} mg`)
+    await becomes(() => meter.getAttribute('aria-valuetext'), `${shown} of ${weighing.target_mg.toFixed(2)} mg`)
     await page.getByText(/Next: 7\.00 mg of .*, vial V9\. 2 doses are waiting/).waitFor()
     assert.equal(await page.getByRole('navigation').count(), 0)
     const { height } = await page.getByRole('button', { name: 'Stop', exact: true }).boundingBox()
@@ -139,10 +139,10 @@ describe('a latched bench', () => {
     await unlock(page, service.token)
     await page.locator('main .badge').getByText('Latched').waitFor()
     await page.getByText(latch().reason).waitFor()
-    assert.match(await page.title(), /^Latched · Devices and record · FLIP$/)
-    const icon = await page.locator('link[rel=icon]').evaluate((link) => link.href)
-    assert.match(icon, /mark-latched\.svg$/)
-    assert.equal((await fetch(icon)).headers.get('content-type'), 'image/svg+xml')
+    await becomes(() => page.title(), /^Latched · Devices and record · FLIP$/)
+    const icon = () => page.locator('link[rel=icon]').evaluate((link) => link.href)
+    await becomes(icon, /mark-latched\.svg$/)
+    assert.equal((await fetch(await icon())).headers.get('content-type'), 'image/svg+xml')
     assert.equal(await page.getByRole('link', { name: 'this weighing' }).getAttribute('href'), `#/weighings/${made.weighing}`)
     await picture(page, 'bench-latched')
     const said = []
@@ -155,7 +155,7 @@ describe('a latched bench', () => {
     await page.getByLabel('Note').fill('vial emptied')
     await page.getByLabel('I have inspected the spoon, the vial and the balance.').check()
     await clear.click()
-    assert.equal(await page.getByLabel('The vial is empty or new').evaluate((box) => box.validity.valueMissing), true)
+    await becomes(() => page.getByLabel('The vial is empty or new').evaluate((box) => box.validity.valueMissing), true)
     assert.deepEqual(said, [])
     await page.getByLabel('The vial is empty or new').check()
     await clear.click()
@@ -166,8 +166,12 @@ describe('a latched bench', () => {
 
   it('shows no form any more once it is cleared', async () => {
     const cleared = await service.get('/v1/bench')
-    await page.unrouteAll()
-    await page.route('**/v1/bench/clear', (route) => route.fulfill({ json: cleared }))
+    await page.unroute('**/v1/bench/clear')
+    // It is latched until it is cleared: the page may ask at any time.
+    await page.route('**/v1/bench/clear', async (route) => {
+      await page.unroute('**/v1/bench')
+      await route.fulfill({ json: cleared })
+    })
     await page.getByRole('button', { name: 'Clear the bench' }).click()
     await page.getByRole('form', { name: 'Clear the bench' }).waitFor({ state: 'detached' })
     await page.locator('main .badge').getByText('Ready').waitFor()
@@ -190,7 +194,7 @@ describe('a repeatability check', () => {
     await page.getByRole('alert').getByText('`100,1` is not a number').waitFor()
     await keep('100.1\n100.2', '0.1')
     await page.getByRole('alert').getByText('at least 10 weighings').waitFor()
-    assert.equal(await page.getByLabel('Readings (mg)').getAttribute('aria-invalid'), 'true')
+    await becomes(() => page.getByLabel('Readings (mg)').getAttribute('aria-invalid'), 'true')
     assert.ok(!(await service.get('/v1/bench')).repeatability)
   })
 
@@ -199,7 +203,7 @@ describe('a repeatability check', () => {
     const newest = page.getByLabel('Latest repeatability check')
     await newest.waitFor()
     // SD = sqrt(10 * 0.1² / 9) = 0.1054; 2 * 0.1054 / 0.001 = 210.8
-    assert.deepEqual(await facts(newest), { 'Standard deviation': '0.105 mg', 'Minimum weight': '210.8 mg', 'Display step': '0.100 mg', Readings: '10' })
+    await becomes(() => facts(newest), { 'Standard deviation': '0.105 mg', 'Minimum weight': '210.8 mg', 'Display step': '0.100 mg', Readings: '10' })
     await keep(Array(10).fill('100').join('\n'), '1')
     await newest.getByText('820.0 mg').waitFor()
     const { repeatability } = await service.get('/v1/bench')
@@ -212,8 +216,7 @@ describe('the record', () => {
     await chromium.open(page, 'bench')
     await table('Records').getByRole('link').first().waitFor()
     const { items } = await service.get('/v1/audit?limit=50')
-    const { rows } = await csvOf(page, 'Records')
-    assert.deepEqual(rows, await tableCells(table('Records')))
+    const rows = await csvAsShown(page, 'Records')
     assert.deepEqual(rows.slice(1).map(([seq, at]) => [Number(seq), at]), items.map((r) => [r.seq, r.at]))
     assert.ok(rows.slice(1).every(([, , , , text]) => text.length <= 121 && !/[{}"]/.test(text)), 'in words')
     assert.ok(rows.slice(1).some(([, , , weighing]) => weighing === `…${made.weighing.slice(-8)}`))
@@ -288,8 +291,8 @@ describe('a weighing', () => {
       [{ state: 'settling', outcome: null }, 'Settling'],
     ]) {
       await show(changes)
-      assert.equal(await page.locator('.verdict .badge').textContent(), word)
-      assert.equal(await page.getByRole('link', { name: 'Certificate' }).count(), changes.state ? 0 : 1)
+      await becomes(() => page.locator('.verdict .badge').textContent(), word)
+      await becomes(() => page.getByRole('link', { name: 'Certificate' }).count(), changes.state ? 0 : 1)
       await page.unrouteAll()
     }
     await chromium.open(page, 'weighings')

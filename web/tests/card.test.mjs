@@ -1,7 +1,7 @@
 /** The card of a powder beside its pile, from shakes of a file, and the probing run that it asks for, in a real Chromium. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, openBrowser, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, csvOf, openBrowser, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page
@@ -86,7 +86,7 @@ describe('the card of a powder', () => {
     await press()
     await page.getByRole('heading', { name: 'Probing run of Salt' }).waitFor()
     assert.ok(keys.length === 2 && keys[0] === keys[1] && keys[0].length > 30, keys.join())
-    assert.equal(await page.locator('.verdict .badge').textContent(), 'Probed')
+    await becomes(() => page.locator('.verdict .badge').textContent(), 'Probed')
     assert.equal(await page.getByRole('link', { name: 'Certificate' }).count(), 0)
     await page.unrouteAll()
   })

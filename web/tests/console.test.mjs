@@ -1,7 +1,7 @@
 /** The home of the page: is it safe, what moves, what waits; the first steps; how one gets about. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium
@@ -39,7 +39,8 @@ describe('a first visit', () => {
     await page.locator('.verdict .badge').getByText(/Within|Under|Over/).waitFor({ timeout: 180_000 })
     await chromium.open(page)
     await page.getByRole('table', { name: 'Last doses' }).getByRole('rowheader', { name: 'Sand' }).waitFor()
-    assert.equal(await steps.count(), 0, 'they go once a dose was weighed')
+    // They go once a dose was weighed.
+    await becomes(() => steps.count(), 0)
     await page.getByRole('link', { name: 'First steps' }).click()
     await steps.waitFor()
     await page.context().close()
@@ -62,9 +63,9 @@ describe('the console', () => {
       await page.getByRole('heading', { name: 'Moving', level: 1 }).waitFor()
       const dose = page.getByRole('region', { name: 'This dose' })
       await dose.getByText('15.00 mg of Sand, lot L7, vial V8').waitFor()
-      assert.equal(Number((await dose.locator('.digits').textContent()).replace('−', '-')), ticks.at(-1).reading.mass_mg)
+      await becomes(async () => Number((await dose.locator('.digits').textContent()).replace('−', '-')), ticks.at(-1).reading.mass_mg)
       assert.ok(parseFloat(await dose.locator('.digits').evaluate((it) => getComputedStyle(it).fontSize)) >= 96)
-      assert.equal(await dose.locator('[aria-current=step]').textContent(), 'Powder is falling')
+      await becomes(() => dose.locator('[aria-current=step]').textContent(), 'Powder is falling')
       await dose.getByText(/For \d+ s; about 1 min 5\d s left/).waitFor()
       await page.getByRole('list', { name: 'Waiting doses' }).getByText('8.00 mg of Sand, vial V9').waitFor()
       await page.getByRole('button', { name: 'Stop', exact: true }).waitFor()
@@ -102,7 +103,7 @@ describe('one gets about', () => {
       await page.getByRole('heading', { name: 'Trainings', level: 1 }).waitFor()
       await page.getByRole('navigation', { name: 'Learn' }).getByRole('link', { name: 'Policies' }).click()
       await page.getByRole('heading', { name: 'Policies', level: 1 }).waitFor()
-      assert.match(await page.title(), /^Policies · FLIP$/)
+      await becomes(() => page.title(), /^Policies · FLIP$/)
       // A word of the field, by touch or keyboard.
       await page.getByRole('button', { name: 'What is meant by policy?' }).first().focus()
       await page.keyboard.press('Enter')

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
 import { fileURLToPath } from 'node:url'
 import { createServer } from 'vite'
-import { accessibilityFaults, csvOf, fits, openBrowser, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, csvOf, fits, holds, openBrowser, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 const HEAD = {
@@ -194,6 +194,13 @@ describe('on the page of a weighing', () => {
     await service?.stop()
   })
   const section = () => page.locator('section', { has: page.getByRole('heading', { name: 'The powder' }) })
+  /** Once the page knows that there is a film: before, it would ask for one. */
+  const showMade = async () => {
+    const show = section().getByRole('button', { name: 'Show the grains' })
+    await show.waitFor()
+    await section().getByText('Takes the simulator about').waitFor({ state: 'detached' })
+    await show.click()
+  }
   const number = (name) => section().locator('.numbers div', { has: page.locator('dt', { hasText: new RegExp(`^${name}`) }) }).locator('dd')
 
   it('asks for a token before it has one made, and shows how far it is', async () => {
@@ -212,7 +219,7 @@ describe('on the page of a weighing', () => {
     await section().getByRole('button', { name: 'Show the grains' }).click()
     await section().getByRole('progressbar').waitFor()
     assert.deepEqual(asked, { weighing: ID, spoonful: 1 })
-    assert.equal(await section().getByRole('progressbar').getAttribute('aria-valuenow'), '40')
+    await becomes(() => section().getByRole('progressbar').getAttribute('aria-valuenow'), '40')
     await section().getByRole('button', { name: 'Cancel' }).waitFor()
   })
 
@@ -220,15 +227,15 @@ describe('on the page of a weighing', () => {
     items = [made]
     await page.emulateMedia({ reducedMotion: 'reduce' })
     await chromium.open(page, `weighings/${ID}`)
-    await section().getByRole('button', { name: 'Show the grains' }).click()
+    await showMade()
     const play = section().getByRole('button', { name: 'Play' })
     await play.waitFor()
-    assert.equal(await number('Simulated time').textContent(), '0.00 s')
-    assert.match(await section().getByRole('img', { name: 'Side view' }).getAttribute('aria-label'), /at 0\.00 s: step 1 of 1, pitch 0\.0 degrees, 0\.00 mg in the vial/)
+    await becomes(() => number('Simulated time').textContent(), '0.00 s')
+    await becomes(() => section().getByRole('img', { name: 'Side view' }).getAttribute('aria-label'), /at 0\.00 s: step 1 of 1, pitch 0\.0 degrees, 0\.00 mg in the vial/)
     await play.click()
     await section().getByRole('button', { name: 'Pause' }).waitFor()
     await play.waitFor({ timeout: 15_000 })
-    assert.deepEqual([await number('In the vial').textContent(), await number('Balance before').textContent(), await number('Step$').textContent()], ['0.02 mg', '2 mg', 'back to level'])
+    await becomes(async () => [await number('In the vial').textContent(), await number('Balance before').textContent(), await number('Step$').textContent()], ['0.02 mg', '2 mg', 'back to level'])
     await page.emulateMedia({ reducedMotion: null })
     assert.deepEqual(await accessibilityFaults(page), [])
   })
@@ -239,15 +246,15 @@ describe('on the page of a weighing', () => {
     const end = await image()
     await slider.focus()
     await page.keyboard.press('Home')
-    assert.equal(await number('Simulated time').textContent(), '0.00 s')
-    assert.notEqual(await image(), end)
+    await becomes(() => number('Simulated time').textContent(), '0.00 s')
+    await holds(async () => assert.notEqual(await image(), end))
     await page.keyboard.press('ArrowRight')
-    assert.equal(await number('Simulated time').textContent(), '0.02 s')
+    await becomes(() => number('Simulated time').textContent(), '0.02 s')
     await section().getByRole('button', { name: 'Step on' }).click()
-    assert.deepEqual([await number('Simulated time').textContent(), await number('Pitch').textContent()], ['0.50 s', '90.0°'])
-    assert.match(await slider.getAttribute('aria-valuetext'), /^0\.50 s, step back to level$/)
+    await becomes(async () => [await number('Simulated time').textContent(), await number('Pitch').textContent()], ['0.50 s', '90.0°'])
+    await becomes(() => slider.getAttribute('aria-valuetext'), /^0\.50 s, step back to level$/)
     await section().getByRole('button', { name: 'Step back' }).click()
-    assert.equal(await number('Simulated time').textContent(), '0.00 s')
+    await becomes(() => number('Simulated time').textContent(), '0.00 s')
   })
 
   it('has a table of its steps that is what the file and the balance say', async () => {
@@ -272,7 +279,7 @@ describe('on the page of a weighing', () => {
   it('says what is wrong with a file that is no film', async () => {
     await page.route(`**/v1/films/${JOB}/grains`, (route) => route.fulfill({ body: Buffer.from('nothing'), contentType: 'application/octet-stream' }))
     await chromium.open(page, `weighings/${ID}`)
-    await section().getByRole('button', { name: 'Show the grains' }).click()
+    await showMade()
     await section().getByText('This is no film.').waitFor()
   })
 })
@@ -311,7 +318,7 @@ describe('on the page of a training', () => {
     items = []
     await chromium.open(page, `trainings/${ID}`)
     await unlock(page, service.token)
-    assert.deepEqual(await section().getByRole('group', { name: 'Episode' }).getByRole('button').allTextContents(), ['Episode 1', 'Episode 10', 'Episode 100'])
+    await becomes(() => section().getByRole('group', { name: 'Episode' }).getByRole('button').allTextContents(), ['Episode 1', 'Episode 10', 'Episode 100'])
     let asked
     await page.route('**/v1/films', async (route) => {
       asked = route.request().postDataJSON()
@@ -321,7 +328,7 @@ describe('on the page of a training', () => {
     await choice('Episode 10').click()
     await section().getByRole('slider', { name: 'Simulated time' }).waitFor()
     assert.deepEqual(asked, { training: ID, episode: 10 })
-    assert.equal(await choice('Episode 10').getAttribute('aria-pressed'), 'true')
+    await becomes(() => choice('Episode 10').getAttribute('aria-pressed'), 'true')
     await section().getByText('of the target of 10.00 mg fell into the vial, with parameter set ps-1, seed 1').waitFor()
   })
 
@@ -349,7 +356,7 @@ describe('on the page of a training', () => {
     items = []
     await chromium.open(page, `trainings/${ID}`)
     await section().getByText('ended before FLIP kept the networks').waitFor()
-    assert.equal(await section().getByRole('group', { name: 'Episode' }).getByRole('button').count(), 1)
+    await becomes(() => section().getByRole('group', { name: 'Episode' }).getByRole('button').count(), 1)
     assert.deepEqual(chromium.complaints, [])
   })
 })

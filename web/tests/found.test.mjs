@@ -1,7 +1,7 @@
 /** What is found and foretold: records and doses by filters in the address, how long a calibration takes, how steep its heaps are, and measurements from a file. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, csvOf, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page, calibration
@@ -24,7 +24,11 @@ after(async () => {
   await service?.stop()
 })
 
-const address = () => new URLSearchParams(page.url().split('?')[1])
+/** What the address asks for by these keys. */
+const asked = (...keys) => {
+  const address = new URLSearchParams(page.url().split('?')[1])
+  return keys.map((key) => address.get(key))
+}
 /** A day of the browser's, so many days ago. */
 const day = (back) => page.evaluate((days) => new Date(Date.now() - days * 864e5).toLocaleDateString('sv'), back)
 
@@ -38,10 +42,12 @@ describe('the record', () => {
     await told(/^\S+ in all$/)
     await filters().getByLabel('Kind').selectOption('Intent')
     await told('1 match')
+    const answer = page.waitForResponse(/\/v1\/audit\?.*person=ada/)
     await filters().getByRole('textbox', { name: 'Person' }).fill('ada')
     await filters().getByRole('textbox', { name: 'Person' }).press('Tab')
+    await answer
     await told('1 match')
-    assert.deepEqual([address().get('kind'), address().get('person')], ['intent', 'ada'])
+    await becomes(() => asked('kind', 'person'), ['intent', 'ada'])
     const { rows } = await csvOf(page, 'Records')
     assert.deepEqual([rows.length, rows[1][2]], [2, 'Intent'])
     const file = page.getByRole('link', { name: 'What matches (CSV)' })
@@ -62,11 +68,11 @@ describe('the record', () => {
     await chromium.open(page, 'bench')
     const today = filters().getByRole('button', { name: 'Today' })
     await today.press('Enter')
-    assert.deepEqual([address().get('since'), address().get('until')], [await day(0), await day(0)])
-    assert.equal(await today.getAttribute('aria-pressed'), 'true')
+    await becomes(() => asked('since', 'until'), [await day(0), await day(0)])
+    await becomes(() => today.getAttribute('aria-pressed'), 'true')
     await told(/ match$/)
     await today.press('Enter')
-    assert.equal(address().get('since'), null)
+    await becomes(() => asked('since'), [null])
   })
 
   for (const width of WIDTHS) {
@@ -88,13 +94,13 @@ describe('doses', () => {
     await page.setViewportSize({ width: 1440, height: 900 })
     await chromium.open(page, 'weighings')
     await page.getByRole('button', { name: 'Outside tolerance' }).press('Enter')
-    assert.equal(address().get('outcome'), 'outside')
+    await becomes(() => asked('outcome'), ['outside'])
     const { total } = await service.get('/v1/weighings?outside=true')
     await told(`${total} match`)
     await page.getByRole('button', { name: 'Outside tolerance' }).press('Enter')
     await page.getByRole('button', { name: 'Last 7 days' }).press('Enter')
     // The days themselves are in the address: tomorrow the link shows the same doses.
-    assert.deepEqual([address().get('since'), address().get('until'), address().get('outcome')], [await day(6), await day(0), null])
+    await becomes(() => asked('since', 'until', 'outcome'), [await day(6), await day(0), null])
     await told('1 match')
     await picture(page, 'weighings-spans')
   })

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
 import { fileURLToPath } from 'node:url'
 import { createServer } from 'vite'
-import { accessibilityFaults, csvOf, fits, openBrowser, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, csvOf, fits, holds, openBrowser, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 /** Height of a grain that lies on a cone of 35 degrees on a base of 2.5 mm. */
@@ -147,7 +147,7 @@ describe('on the page of a powder', () => {
     items = []
     await chromium.open(page, 'powders/sand')
     await section().getByRole('img', { name: 'Pile 1 as the camera saw it' }).waitFor()
-    assert.deepEqual((await angles())[0], ['Apex, this pair', '33.40', '0.41', '', ''])
+    await becomes(async () => (await angles())[0], ['Apex, this pair', '33.40', '0.41', '', ''])
     await section().getByRole('button', { name: 'Show the heap' }).click()
     await page.getByRole('dialog').getByLabel('Token').waitFor()
     await page.keyboard.press('Escape')
@@ -164,23 +164,25 @@ describe('on the page of a powder', () => {
   })
 
   it('both have the same width of base and their fits, which can be hidden; the table has the difference', async () => {
-    assert.deepEqual(await angles(), [
+    await becomes(angles, [
       ['Apex, this pair', '33.40', '0.41', '35.00', '+1.60'],
       ['Cone, this pair', '32.90', '0.22', '34.50', '+1.60'],
       ['Apex, means', '33.40', '0.41', '33.90', '+0.50'],
     ])
-    assert.equal(await section().locator('.apart strong').textContent(), '+1.60°')
+    await becomes(() => section().locator('.apart strong').textContent(), '+1.60°')
     const fit = section().getByRole('img', { name: /^The fit over pile 1/ })
-    assert.match(await fit.getAttribute('aria-label'), /33\.40 degrees from the apex/)
-    const box = await section().locator('.frame').boundingBox()
-    const base = await fit.locator('.over path').nth(3).boundingBox()
-    assert.ok(Math.abs(base.width / box.width - 1 / 1.5) < 0.02, `${base.width} of ${box.width}`)
+    await becomes(() => fit.getAttribute('aria-label'), /33\.40 degrees from the apex/)
+    await holds(async () => {
+      const box = await section().locator('.frame').boundingBox()
+      const base = await fit.locator('.over path').nth(3).boundingBox()
+      assert.ok(Math.abs(base.width / box.width - 1 / 1.5) < 0.02, `${base.width} of ${box.width}`)
+    })
     const canvas = section().locator('canvas')
-    assert.match(await section().getByRole('img', { name: /^Side view of a heap/ }).getAttribute('aria-label'), /35\.00 degrees from the apex and 34\.50 by the cone/)
+    await becomes(() => section().getByRole('img', { name: /^Side view of a heap/ }).getAttribute('aria-label'), /35\.00 degrees from the apex and 34\.50 by the cone/)
     const drawn = () => canvas.evaluate((element) => element.toDataURL())
     const withFit = await drawn()
     await section().getByLabel('Show the fits').uncheck()
-    assert.equal(await fit.count(), 0)
+    await becomes(() => fit.count(), 0)
     await page.waitForFunction(([before]) => document.querySelector('canvas').toDataURL() !== before, [withFit])
     await section().getByLabel('Show the fits').check()
     assert.deepEqual(await accessibilityFaults(page), [])
@@ -192,7 +194,7 @@ describe('on the page of a powder', () => {
     const slider = section().getByRole('slider', { name: 'Simulated time' })
     await slider.focus()
     await page.keyboard.press('Home')
-    assert.equal(await slider.getAttribute('aria-valuetext'), `0.00 s, ${half} grains`)
+    await becomes(() => slider.getAttribute('aria-valuetext'), `0.00 s, ${half} grains`)
     await section().getByRole('button', { name: 'Pour it again' }).click()
     await page.waitForFunction(() => document.querySelector('input[type=range]').getAttribute('aria-valuetext').startsWith('1.00 s'), undefined, { timeout: 15_000 })
   })
@@ -215,7 +217,7 @@ describe('on the page of a powder', () => {
     await picture(page, 'pile-fit')
     await page.getByRole('combobox', { name: 'Pile' }).selectOption('2')
     await page.getByText('No angle: no bench found.').waitFor()
-    assert.equal(await page.getByRole('img', { name: /^The fit over/ }).count(), 0)
+    await becomes(() => page.getByRole('img', { name: /^The fit over/ }).count(), 0)
     assert.deepEqual(await accessibilityFaults(page), [])
     assert.deepEqual(chromium.complaints, [])
   })

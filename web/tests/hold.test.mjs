@@ -1,7 +1,7 @@
 /** A bench that is held or latched, with doses that wait, and a vial that a person puts in. */
 import assert from 'node:assert/strict'
 import { after, before, beforeEach, describe, it } from 'node:test'
-import { accessibilityFaults, fits, openBrowser, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, fits, openBrowser, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page, bench
@@ -63,7 +63,7 @@ describe('a held bench', () => {
       await chromium.open(page, 'jobs')
       await strip().getByRole('button', { name: 'Resume the bench' }).press('Enter')
       const panel = page.getByRole('dialog', { name: 'Resume the bench' })
-      assert.equal((await panel.getByRole('listitem').allTextContents()).length, 2)
+      await becomes(() => panel.getByRole('listitem').count(), 2)
       assert.deepEqual(await accessibilityFaults(page), [])
       assert.ok(await fits(page))
       await picture(page, `resume-${width}`)
@@ -71,7 +71,7 @@ describe('a held bench', () => {
       await panel.getByRole('button', { name: 'Resume', exact: true }).press('Enter')
       await panel.waitFor({ state: 'detached' })
       assert.deepEqual(said, [{ by: 'Grace', note: '' }])
-      assert.match(page.url(), /#\/jobs$/)
+      await page.waitForURL(/#\/jobs$/)
     }
     await page.setViewportSize({ width: 1400, height: 900 })
   })
@@ -93,14 +93,14 @@ describe('a held bench', () => {
     const said = await pretend({ held: HELD, waiting: WAITING })
     await chromium.open(page, 'bench')
     await page.locator('main .badge').getByText('Held', { exact: true }).waitFor()
-    assert.deepEqual((await doses()).map((text) => text.trim()), ['12.00 mg of Salt into vial A1 Awaiting vial', '8.50 mg of Sand Planned'])
+    await becomes(async () => (await doses()).map((text) => text.trim()), ['12.00 mg of Salt into vial A1 Awaiting vial', '8.50 mg of Sand Planned'])
     await picture(page, 'held')
     const resume = page.getByRole('button', { name: 'Resume', exact: true })
     // The name of the token is suggested; somebody has to be named.
-    assert.equal(await page.getByLabel('Your name').inputValue(), 'first start')
+    await becomes(() => page.getByLabel('Your name').inputValue(), 'first start')
     await page.getByLabel('Your name').fill('')
     await resume.click()
-    assert.equal(await page.getByLabel('Your name').evaluate((box) => box.validity.valueMissing), true)
+    await becomes(() => page.getByLabel('Your name').evaluate((box) => box.validity.valueMissing), true)
     await page.getByLabel('Your name').fill('Grace')
     await page.getByLabel('Note').fill('door closed')
     await resume.click()
@@ -121,7 +121,7 @@ describe('a latched bench with doses that wait', () => {
     const said = await pretend({ latch: LATCH, waiting: WAITING })
     await chromium.open(page, 'bench')
     await page.getByText('These doses are waiting. They stay on hold until someone resumes the bench').waitFor()
-    assert.equal((await doses()).length, 2)
+    await becomes(async () => (await doses()).length, 2)
     assert.equal(await page.getByLabel('Start them').isChecked(), false)
     await picture(page, 'latched-waiting')
     assert.deepEqual(await accessibilityFaults(page), [])
@@ -182,8 +182,7 @@ describe('a dose whose vial is not in yet', () => {
   it('shows what is known of the vial on the pan', async () => {
     await pretend({ vial: { name: 'A0', weighing: `${ID}4`, holds_mg: 11.9, since: AT }, exchanges_vials: false })
     await chromium.open(page, 'bench')
-    const text = await page.getByLabel('Vial on the pan').textContent()
-    assert.match(text, /A0.*Contents\s*11\.90 mg/s)
+    await becomes(() => page.getByLabel('Vial on the pan').textContent(), /A0.*Contents\s*11\.90 mg/s)
   })
 
   it('is asked for with lot, vial and operator, and with no question only where a person chose that', async () => {
@@ -200,10 +199,10 @@ describe('a dose whose vial is not in yet', () => {
     const weigh = form.getByRole('button', { name: 'Weigh' })
     await weigh.click()
     await page.getByRole('alert').waitFor()
-    assert.equal(await form.getByLabel('Vial', { exact: true }).getAttribute('aria-invalid'), 'true')
+    await becomes(() => form.getByLabel('Vial', { exact: true }).getAttribute('aria-invalid'), 'true')
     await form.getByLabel('Skip the vial check').check()
     await weigh.click()
-    while (said.length < 2) await page.waitForResponse('**/v1/weighings')
+    await becomes(() => said.length, 2)
     assert.deepEqual(said.map(({ asked, vial_check }) => [asked, vial_check]), [[{ lot: 'L-7', vial: 'A1', operator: 'Ada' }, undefined], [{ lot: 'L-7', vial: 'A1', operator: 'Ada' }, 'skip']])
   })
 })

@@ -1,7 +1,7 @@
 /** The page in German and Japanese: chosen, remembered, and whole where powder moves; English elsewhere, and marked so. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, fits, openBrowser, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, csvOf, fits, openBrowser, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, bench
@@ -49,7 +49,7 @@ describe('a language', () => {
       const page = await chromium.tab({ locale })
       await chromium.open(page)
       await page.getByRole('heading', { name: ready, level: 1 }).waitFor()
-      assert.equal(await langOf(page), lang)
+      await becomes(() => langOf(page), lang)
       await page.context().close()
     }
   })
@@ -60,7 +60,8 @@ describe('a language', () => {
     page.on('request', (request) => asked.push(request.url()))
     await chromium.open(page)
     await page.waitForTimeout(6000)
-    assert.ok(asked.some((url) => /later/.test(url)), 'the second file has been fetched ahead')
+    // The second file has been fetched ahead.
+    await becomes(() => asked.some((url) => /later/.test(url)), true)
     assert.deepEqual(asked.filter((url) => /texts/.test(url)), [])
     await page.context().close()
   })
@@ -74,11 +75,11 @@ describe('a language', () => {
     for (const tab of [page, other]) await tab.getByRole('heading', { name: '準備完了', level: 1 }).waitFor()
     await page.reload()
     await page.getByRole('heading', { name: '準備完了', level: 1 }).waitFor()
-    assert.match(await page.title(), /^コンソール · FLIP$/)
+    await becomes(() => page.title(), /^コンソール · FLIP$/)
     await page.getByRole('combobox', { name: '言語' }).focus()
     await page.keyboard.press('E')
     await page.getByRole('heading', { name: 'Ready', level: 1 }).waitFor()
-    assert.equal(await langOf(page), 'en')
+    await becomes(() => langOf(page), 'en')
     await page.context().close()
   })
 
@@ -94,7 +95,7 @@ describe('a language', () => {
     await page.unrouteAll()
     await alert.getByRole('button', { name: 'Try again' }).click()
     await page.getByRole('heading', { name: 'Bereit', level: 1 }).waitFor()
-    assert.equal(await alert.count(), 0)
+    await becomes(() => alert.count(), 0)
     await page.context().close()
   })
 })
@@ -166,7 +167,7 @@ describe('in German', () => {
     const refusal = form.getByRole('alert')
     await refusal.getByText(/Semolina ist noch nicht kalibriert/).waitFor()
     await refusal.getByText('Was der Dienst meldet').click()
-    assert.equal(await refusal.locator('details p').getAttribute('lang'), 'en')
+    await becomes(() => refusal.locator('details p').getAttribute('lang'), 'en')
     await refusal.getByRole('link', { name: 'Semolina kalibrieren' }).waitFor()
     await sound(page)
     await picture(page, 'language-de-refusal')
@@ -180,7 +181,7 @@ describe('in German', () => {
     await chromium.open(page)
     const table = page.getByRole('table', { name: 'Letzte Einwaagen' })
     await table.getByText('In Toleranz').waitFor()
-    assert.deepEqual(await table.getByRole('columnheader').allTextContents(), ['Pulver', 'Ergebnis', 'Sollwert (mg)', 'Anzeige (mg)', 'Abweichung (mg)', 'Charge, Vial', 'Beendet'])
+    await becomes(() => table.getByRole('columnheader').allTextContents(), ['Pulver', 'Ergebnis', 'Sollwert (mg)', 'Anzeige (mg)', 'Abweichung (mg)', 'Charge, Vial', 'Beendet'])
     const { rows } = await csvOf(page, 'Letzte Einwaagen', 'CSV: Letzte Einwaagen')
     assert.deepEqual(rows, [['Powder', 'Verdict', 'Target (mg)', 'Reading (mg)', 'Error (mg)', 'Lot, vial', 'Ended'], ['Sand', 'Within', '15.00', '15.2', '+0.20', 'L7', AT]])
     await page.context().close()
@@ -211,7 +212,7 @@ describe('in Japanese', () => {
       const form = page.getByRole('form', { name: '新しい秤量' })
       await form.getByLabel('目標値').fill('12')
       await form.getByText('室内の空気、正確さ、過量投入').click()
-      assert.deepEqual(await form.getByLabel('過量投入のあと').locator('option').allTextContents().then((all) => all.slice(0, 3)), ['報告して終了', '新しいバイアルでやり直し、最大 1 回', '新しいバイアルでやり直し、最大 2 回'])
+      await becomes(() => form.getByLabel('過量投入のあと').locator('option').allTextContents().then((all) => all.slice(0, 3)), ['報告して終了', '新しいバイアルでやり直し、最大 1 回', '新しいバイアルでやり直し、最大 2 回'])
       await form.getByRole('group', { name: '秤量の前に' }).waitFor()
       await chromium.open(page, 'weighings?new=list')
       await page.getByRole('form', { name: 'リストで秤量' }).getByLabel('リストの名前').fill('A')

@@ -1,7 +1,7 @@
 /** A list of doses pasted from a spreadsheet: checked, weighed in order, found, certified, and one of them again. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page
@@ -62,7 +62,7 @@ describe('a list of doses', () => {
     await checked.getByRole('row', { name: /A2 V-2 Sand – 8\.50/ }).waitFor()
     assert.deepEqual(await accessibilityFaults(page), [])
     // The button has the focus; a change of the table takes it away.
-    assert.equal(await page.evaluate(() => document.activeElement?.textContent?.trim()), 'Weigh these 2 doses')
+    await becomes(() => page.evaluate(() => document.activeElement?.textContent?.trim()), 'Weigh these 2 doses')
     await form().getByLabel('Operator').fill('Ada')
     await checked.waitFor({ state: 'detached' })
     await form().getByRole('button', { name: 'Check the list' }).press('Enter')
@@ -70,7 +70,7 @@ describe('a list of doses', () => {
     await page.waitForURL(/#\/weighings\?list=Plate/)
     await page.getByText('2 match').waitFor()
     await page.getByText('2 doses of the list Plate 1 will be weighed').waitFor()
-    assert.equal(await page.locator('dialog[open]').count(), 0)
+    await becomes(() => page.locator('dialog[open]').count(), 0)
     const { items } = await service.get('/v1/weighings?list=Plate%201&sort=oldest')
     assert.deepEqual(items.map((w) => [w.asked.position, w.asked.vial, w.asked.operator, w.target_mg]), [['A1', 'V-1', 'Ada', 12], ['A2', 'V-2', 'Ada', 8.5]])
   })
@@ -95,7 +95,7 @@ describe('a list of doses', () => {
     const again = page.getByRole('form', { name: 'Weigh a dose' })
     await again.getByLabel('Operator').waitFor()
     await page.waitForFunction(() => document.querySelector('form[aria-label="Weigh a dose"] input[type=number]')?.value === '12')
-    assert.equal(await again.getByLabel('Operator').inputValue(), 'Ada')
+    await becomes(() => again.getByLabel('Operator').inputValue(), 'Ada')
     assert.equal(await again.getByLabel('Vial', { exact: true }).inputValue(), '')
   })
 

@@ -7,7 +7,7 @@ import { createServer } from 'node:http'
 import { tmpdir } from 'node:os'
 import { join } from 'node:path'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, fits, openBrowser, picture } from './browser.mjs'
+import { accessibilityFaults, becomes, fits, openBrowser, picture } from './browser.mjs'
 import { startService } from './service.mjs'
 
 const text = (value) => Buffer.from(value).toString('base64url')
@@ -93,7 +93,7 @@ describe('a log-in with the lab account', () => {
       await page.keyboard.press('Enter')
       await page.getByRole('link', { name: 'I am Ada' }).click()
       await page.getByRole('button', { name: 'Token set: Ada, operator' }).waitFor()
-      assert.equal(await page.evaluate(() => location.href), `${service.url}/#/bench`)
+      await becomes(() => page.evaluate(() => location.href), `${service.url}/#/bench`)
       const seen = await addresses(page)
       assert.ok(!seen.includes('a-code') && !seen.includes('flip_'), seen)
       await page.getByRole('button', { name: 'Save the check' }).waitFor()

@@ -1,7 +1,7 @@
 /** Names, notes and tags on every view; archives; powders by their names; corrected measurements; the queue. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page
@@ -51,7 +51,7 @@ describe('names', () => {
       const label = await service.get(`/v1/labels/${kind}/${id}`)
       assert.deepEqual([label.name, label.tags, label.note], [`Third try, ${kind}`, ['batch 7', 'GMP'], 'Two lines,\nof what was different.'])
       // The focus is back where it was, and Escape leaves everything as it is.
-      assert.match((await page.evaluate(() => document.activeElement?.textContent)) ?? '', /Edit name/)
+      await becomes(() => page.evaluate(() => document.activeElement?.textContent), /Edit name/)
       await editor().press('Enter')
       await name.fill('Something else')
       await name.press('Escape')
@@ -75,8 +75,8 @@ describe('names', () => {
     await open('policies')
     await page.getByLabel('Tag').selectOption('GMP')
     const table = page.getByRole('region', { name: 'Policies', exact: true })
+    await becomes(() => table.getByRole('rowheader').count(), 1)
     await table.getByRole('rowheader', { name: 'Third try, policy' }).waitFor()
-    assert.equal(await table.getByRole('rowheader').count(), 1)
     await page.getByLabel('Tag').selectOption('')
     await table.getByRole('rowheader').nth(1).waitFor()
     await open(`policies/${(await first('/v1/policies?tag=GMP')).id}`)
@@ -85,6 +85,7 @@ describe('names', () => {
     await page.getByText(/^Archived/).waitFor()
     await open('policies')
     await page.getByLabel('Archived').waitFor()
+    await table.getByRole('rowheader').first().waitFor()
     assert.equal(await table.getByRole('rowheader', { name: 'Third try, policy' }).count(), 0)
     await page.getByLabel('Archived').selectOption('only')
     await table.getByRole('rowheader', { name: 'Third try, policy' }).waitFor()

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict'
 import { createHash } from 'node:crypto'
 import { readFileSync } from 'node:fs'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, fits, openBrowser, openPanel, picture, tableCells, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, csvAsShown, fits, holds, openBrowser, openPanel, picture, tableCells, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 import { explanations, unexplained } from './words.mjs'
 
@@ -40,8 +40,7 @@ const degrees = (value) => value.toFixed(2)
 
 /** The view's CSV is what its table shows. */
 async function csvEqualsTable(caption) {
-  const { rows } = await csvOf(page, caption)
-  assert.deepEqual(rows, await tableCells(table(caption)))
+  const rows = await csvAsShown(page, caption)
   assert.ok(rows.length > 1, `${caption} has rows`)
   return rows
 }
@@ -97,8 +96,7 @@ describe('powders', () => {
     await page.getByRole('button', { name: 'Add the measurement' }).click()
     const field = page.getByLabel('Mean (°)')
     await page.waitForFunction((input) => input.getAttribute('aria-invalid') === 'true', await field.elementHandle())
-    const message = await field.evaluate((input) => document.getElementById(input.getAttribute('aria-describedby')).textContent)
-    assert.match(message, /85/)
+    await becomes(() => field.evaluate((input) => document.getElementById(input.getAttribute('aria-describedby')).textContent), /85/)
   })
 })
 
@@ -234,11 +232,11 @@ describe('a weighing', () => {
     const { weighing, ticks } = await service.get(`/v1/weighings/${made.weighing}`)
     assert.ok(Math.abs(weighing.tolerance_upper_mg - 1.2) < 1e-9)
     const word = { within: 'Within', under: 'Under', over: 'Over' }[weighing.outcome]
-    assert.equal(await page.locator('.verdict .badge').textContent(), word)
+    await becomes(() => page.locator('.verdict .badge').textContent(), word)
     await page.getByText('Table of Mass in the vial').click()
-    const rows = await csvEqualsTable('Mass in the vial')
-    assert.deepEqual(rows.slice(1).map(([, mass]) => Number(mass)), ticks.map((t) => t.reading.mass_mg + 0), 'with no negative zero')
-    assert.equal((await csvEqualsTable('Steps')).length - 1, ticks.length)
+    // With no negative zero.
+    await becomes(async () => (await csvEqualsTable('Mass in the vial')).slice(1).map(([, mass]) => Number(mass)), ticks.map((t) => t.reading.mass_mg + 0))
+    await becomes(async () => (await csvEqualsTable('Steps')).length - 1, ticks.length)
     await page.getByText('Target 12.00 mg').waitFor()
   })
 
@@ -251,7 +249,7 @@ describe('a weighing', () => {
     await form.getByLabel('Target').fill('9000')
     await form.getByRole('button', { name: 'Weigh' }).click()
     await page.getByRole('alert').waitFor()
-    assert.equal(await form.getByLabel('Target').getAttribute('aria-invalid'), 'true')
+    await becomes(() => form.getByLabel('Target').getAttribute('aria-invalid'), 'true')
     assert.equal((await service.get('/v1/weighings')).items.length, before)
   })
 
@@ -273,13 +271,12 @@ describe('a weighing', () => {
     await csvEqualsTable('Weighings')
     await table('Weighings').getByRole('button', { name: 'Target (mg)' }).click()
     await page.getByLabel('Outcome').selectOption('stopped')
-    assert.match(page.url(), /sort=target/)
-    assert.match(page.url(), /outcome=stopped/)
+    await page.waitForURL(/sort=target/)
+    await page.waitForURL(/outcome=stopped/)
     await page.reload()
     await row('Weighings', 'Stopped').waitFor()
-    const cells = await tableCells(table('Weighings'))
-    assert.ok(cells.slice(1).every((c) => c[1] === 'Stopped'))
-    assert.equal(await table('Weighings').getByRole('columnheader', { name: 'Target (mg)' }).getAttribute('aria-sort'), 'descending')
+    await holds(async () => assert.ok((await tableCells(table('Weighings'))).slice(1).every((c) => c[1] === 'Stopped')))
+    await becomes(() => table('Weighings').getByRole('columnheader', { name: 'Target (mg)' }).getAttribute('aria-sort'), 'descending')
   })
 
   it('is found among all by what is asked for, with a count, and the CSV holds every match', async () => {
@@ -298,10 +295,13 @@ describe('a weighing', () => {
     await page.getByRole('status').getByText('2 match').waitFor()
     await table('Weighings').getByRole('button', { name: 'Target (mg)' }).click()
     await page.waitForURL(/lot=B-77/)
-    const cells = await tableCells(table('Weighings'))
-    const column = (name) => cells[0].findIndex((text) => text.startsWith(name))
-    assert.deepEqual(cells.slice(1).map((row) => [row[column('Target')], row[column('Vial')]]), [['9.00', 'V2'], ['6.00', 'V1']])
-    assert.equal((await csvEqualsTable('Weighings')).length, 3)
+    await page.waitForURL(/sort=target/)
+    await holds(async () => {
+      const cells = await tableCells(table('Weighings'))
+      const column = (name) => cells[0].findIndex((text) => text.startsWith(name))
+      assert.deepEqual(cells.slice(1).map((row) => [row[column('Target')], row[column('Vial')]]), [['9.00', 'V2'], ['6.00', 'V1']])
+    })
+    await becomes(async () => (await csvEqualsTable('Weighings')).length, 3)
     await page.getByLabel('Search').fill('bo v2')
     await page.keyboard.press('Enter')
     await page.getByRole('status').getByText('1 match').waitFor()
@@ -387,7 +387,7 @@ describe('every view', () => {
       await chromium.open(page, hash)
       await page.locator('.sheet').first().waitFor()
       await page.waitForTimeout(500)
-      found.push(...(await cut()).map((what) => `${name}: ${what}`))
+      await becomes(cut, []).catch((error) => found.push(`${name}: ${error.message}`))
     }
     assert.deepEqual(found, [])
     await page.setViewportSize({ width: 390, height: 844 })
@@ -411,20 +411,20 @@ describe('every view', () => {
   it('can be reached from the keyboard alone', async () => {
     await chromium.open(page)
     await page.keyboard.press('Tab')
-    assert.equal(await page.evaluate(() => document.activeElement.textContent), 'Skip to content')
+    await becomes(() => page.evaluate(() => document.activeElement.textContent), 'Skip to content')
     const focused = () => page.evaluate(() => document.activeElement.textContent.trim())
     for (let k = 0; k < 20 && (await focused()) !== 'Powders'; k++) await page.keyboard.press('Tab')
     assert.equal(await focused(), 'Powders')
     await page.keyboard.press('Enter')
     await page.getByRole('heading', { name: 'Powders', level: 1 }).waitFor()
-    assert.equal(await page.evaluate(() => document.activeElement.id), 'main')
+    await becomes(() => page.evaluate(() => document.activeElement.id), 'main')
   })
 
   it('does not move for who asks for less motion', async () => {
     await page.emulateMedia({ reducedMotion: 'reduce' })
     await chromium.open(page, 'jobs')
     await page.getByRole('progressbar').first().waitFor()
-    assert.equal(await page.locator('.eases').first().evaluate((bar) => getComputedStyle(bar).transitionDuration), '0s')
+    await becomes(() => page.locator('.eases').first().evaluate((bar) => getComputedStyle(bar).transitionDuration), '0s')
     await page.emulateMedia({ reducedMotion: null })
   })
 
@@ -443,7 +443,7 @@ describe('every view', () => {
   it('says what is wrong when there is no such thing', async () => {
     const stranger = await chromium.tab()
     await chromium.open(stranger, 'powders/unobtainium')
-    assert.match(await stranger.getByRole('alert').textContent(), /unobtainium/)
+    await stranger.getByRole('alert').getByText(/unobtainium/).waitFor()
     await stranger.context().close()
   })
 

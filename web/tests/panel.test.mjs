@@ -1,7 +1,7 @@
 /** Forms that create something open at the right edge: the keyboard stays in them, what was typed stays, and the page stays where it is. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, fits, openBrowser, openPanel, picture, unlock } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, policy
@@ -74,7 +74,8 @@ for (const [width, height, colorScheme] of [[1440, 900, 'light'], [1280, 800, 'd
         await page.keyboard.press('Escape')
         await panel.waitFor({ state: 'detached' })
         await page.waitForFunction(() => !location.hash.includes('new=') && !location.hash.includes('calibrate='))
-        assert.ok(await opener.evaluate((it) => it === document.activeElement), `${button} has the focus again`)
+        // The button has the focus again.
+        await becomes(async () => [button, await opener.evaluate((it) => it === document.activeElement)], [button, true])
       }
     })
 
@@ -83,21 +84,21 @@ for (const [width, height, colorScheme] of [[1440, 900, 'light'], [1280, 800, 'd
       const closings = [() => page.keyboard.press('Escape'), (panel) => panel.getByRole('button', { name: 'Close' }).click(), () => page.goBack()]
       for (const [k, close] of closings.entries()) {
         const panel = await openPanel(page, 'Weigh a dose')
-        if (k > 0) assert.equal(await panel.getByLabel('Lot of the powder').inputValue(), `L-${k - 1}`)
+        if (k > 0) await becomes(() => panel.getByLabel('Lot of the powder').inputValue(), `L-${k - 1}`)
         await panel.getByLabel('Lot of the powder').fill(`L-${k}`)
         await close(panel)
         await page.locator('dialog[open]').waitFor({ state: 'detached' })
         await page.waitForFunction(() => !location.hash.includes('new='))
       }
       const panel = await openPanel(page, 'Weigh a dose')
-      assert.equal(await panel.getByLabel('Lot of the powder').inputValue(), 'L-2')
+      await becomes(() => panel.getByLabel('Lot of the powder').inputValue(), 'L-2')
       await picture(page, `panel-${width}`)
     })
 
     it('are open where the address says so', async () => {
       await chromium.open(page, 'weighings?new=dose&powder=salt')
       const panel = page.getByRole('dialog', { name: 'Weigh a dose' })
-      assert.equal(await panel.getByLabel('Powder', { exact: true }).inputValue(), 'salt')
+      await becomes(() => panel.getByLabel('Powder', { exact: true }).inputValue(), 'salt')
       await page.keyboard.press('Escape')
       await panel.waitFor({ state: 'hidden' })
       await page.waitForURL(/#\/weighings\?powder=salt$/)
@@ -117,6 +118,7 @@ describe('a form that made something', () => {
     await page.getByRole('heading', { name: 'Calibration of Sand' }).waitFor()
     await page.goBack()
     await page.getByRole('heading', { name: 'Sand', level: 1 }).waitFor()
+    await page.getByRole('button', { name: 'Calibrate', exact: true }).waitFor()
     assert.equal(await page.locator('dialog[open]').count(), 0)
     await page.context().close()
   })

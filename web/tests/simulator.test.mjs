@@ -1,7 +1,7 @@
 /** Versions of the simulator, in a real Chromium before a real `flip serve`: listed, compared, taken into use and rolled back. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, fits, openBrowser, picture, tableCells, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, csvAsShown, fits, openBrowser, picture, tableCells, unlock } from './browser.mjs'
 import { humidDays } from './campaign.mjs'
 import { startService } from './service.mjs'
 
@@ -22,11 +22,7 @@ const table = (caption) => page.getByRole('table', { name: caption, exact: true 
 const current = () => service.get('/v1/simulators/current')
 
 /** The view's CSV is what its table shows. */
-async function csvEqualsTable(caption) {
-  const { rows } = await csvOf(page, caption)
-  assert.deepEqual(rows, await tableCells(table(caption)))
-  return rows
-}
+const csvEqualsTable = (caption) => csvAsShown(page, caption)
 
 describe('simulators', () => {
   let version, report
@@ -35,7 +31,7 @@ describe('simulators', () => {
     await chromium.open(page, 'simulators')
     await page.getByText('No versions yet').waitFor()
     await page.getByText('no other version has been chosen').waitFor()
-    assert.deepEqual((await csvEqualsTable('Versions of the simulator')).slice(1).map((cells) => cells[0]), ['Base simulator'])
+    await becomes(async () => (await csvEqualsTable('Versions of the simulator')).slice(1).map((cells) => cells[0]), ['Base simulator'])
     assert.equal(await page.getByRole('heading', { name: 'Side by side' }).count(), 0)
   })
 
@@ -70,9 +66,9 @@ describe('simulators', () => {
   })
 
   it('draw every powder over the condition that was found, from the stored numbers', async () => {
-    const names = await page.getByRole('img', { name: /angle of repose over/ }).evaluateAll((figures) => figures.map((f) => f.getAttribute('aria-label')))
-    assert.deepEqual(names.map((name) => name.split(':')[0]), ['Sand', 'Sugar', 'Salt'])
-    for (const name of names) assert.match(name, /over Relative humidity \(%\), measured, by Base simulator and by Humidity, sv-[0-9a-f]{16}; 24 runs, 0 without a recorded value/)
+    const names = () => page.getByRole('img', { name: /angle of repose over/ }).evaluateAll((figures) => figures.map((f) => f.getAttribute('aria-label')))
+    await becomes(async () => (await names()).map((name) => name.split(':')[0]), ['Sand', 'Sugar', 'Salt'])
+    for (const name of await names()) assert.match(name, /over Relative humidity \(%\), measured, by Base simulator and by Humidity, sv-[0-9a-f]{16}; 24 runs, 0 without a recorded value/)
     const drawn = await page.locator('figure svg').evaluateAll((figures) => figures.map((f) => f.innerHTML).join(''))
     assert.doesNotMatch(drawn, /NaN|Infinity|undefined/)
     await page.getByText('Table of predicted angles').click()
@@ -80,7 +76,7 @@ describe('simulators', () => {
     assert.deepEqual(rows.slice(1).map((cells) => cells.slice(-2)), report.rows.map((row) => [row.before_deg.toFixed(2), row.after_deg.toFixed(2)]))
     await page.getByLabel('Over', { exact: true }).selectOption({ label: 'Temperature (°C)' })
     await page.getByRole('img', { name: /Salt: angle of repose over Temperature/ }).waitFor()
-    assert.match(page.url(), /over=temperature_c/)
+    await page.waitForURL(/over=temperature_c/)
   })
 
   it('ask for a token before one is taken into use', async () => {
@@ -109,7 +105,8 @@ describe('simulators', () => {
     const used = await current()
     assert.deepEqual([used.simulator, used.before, used.reason], [version.id, 'base', 'It predicts humid days'])
     await page.getByText('Reason: It predicts humid days').waitFor()
-    assert.equal(await page.getByRole('button', { name: `Use ${version.id}` }).count(), 0, 'what is in use cannot be chosen again')
+    // What is in use cannot be chosen again.
+    await becomes(() => page.getByRole('button', { name: `Use ${version.id}` }).count(), 0)
     await page.getByRole('button', { name: 'Use the base simulator' }).waitFor()
 
     await page.getByRole('button', { name: 'Go back to Base simulator' }).focus()
@@ -137,17 +134,17 @@ describe('simulators', () => {
     await chromium.open(page, 'trainings?new=training')
     const simulator = page.getByLabel('Simulator', { exact: true })
     await page.getByRole('combobox', { name: 'Simulator' }).waitFor()
-    assert.equal(await simulator.inputValue(), version.id)
+    await becomes(() => simulator.inputValue(), version.id)
     await page.getByLabel('Relative humidity (%)').fill('99')
     const [request] = await Promise.all([page.waitForRequest((it) => it.method() === 'POST' && it.url().endsWith('/v1/trainings')), page.getByRole('button', { name: 'Start the training' }).click()])
     assert.deepEqual([request.postDataJSON().simulator, request.postDataJSON().conditions], [version.id, { relative_humidity_pct: 99 }])
     // Its powders are not calibrated with that version: the page says so, and where to.
     await page.getByRole('alert').getByText(/has no calibration yet/).waitFor()
     await simulator.selectOption('base')
-    assert.equal(await page.getByLabel('Relative humidity (%)').count(), 0)
+    await becomes(() => page.getByLabel('Relative humidity (%)').count(), 0)
     await chromium.open(page, 'weighings?new=dose')
     await page.getByLabel('Simulator', { exact: true }).waitFor()
-    assert.equal(await page.getByLabel('Simulator', { exact: true }).inputValue(), version.id)
+    await becomes(() => page.getByLabel('Simulator', { exact: true }).inputValue(), version.id)
     const [policy] = (await service.get('/v1/policies')).items
     await chromium.open(page, `policies/${policy.id}?new=evaluation`)
     await page.getByLabel('Simulator', { exact: true }).waitFor()
@@ -218,7 +215,7 @@ describe('two versions of different campaigns', () => {
     await page.getByText('difference between operators, sv-2222222222222222: no predictions over Pressure (hPa)').waitFor()
     await page.getByLabel('Over', { exact: true }).selectOption({ label: 'Operator' })
     const figure = page.getByRole('img', { name: /Salt: angle of repose over Operator.*12 runs|Salt: angle of repose over Operator.*10 runs/ })
-    assert.match(await figure.textContent(), /Aiko.*Bo.*Cid/s)
+    await becomes(() => figure.textContent(), /Aiko.*Bo.*Cid/s)
     assert.doesNotMatch(await figure.innerHTML(), /NaN|Infinity|undefined/)
   })
 
@@ -246,8 +243,7 @@ describe('two versions of different campaigns', () => {
     await page.setViewportSize({ width: 400, height: 800 })
     await show()
     await picture(page, 'simulators-narrow')
-    const wide = await page.evaluate(() => [...document.querySelectorAll('main *')].filter((e) => e.getBoundingClientRect().right > innerWidth && !e.closest('.scroll')).map((e) => e.outerHTML.slice(0, 120)))
-    assert.deepEqual(wide, [])
+    await becomes(() => page.evaluate(() => [...document.querySelectorAll('main *')].filter((e) => e.getBoundingClientRect().right > innerWidth && !e.closest('.scroll')).map((e) => e.outerHTML.slice(0, 120))), [])
     assert.ok(await fits(page))
     await page.setViewportSize({ width: 1400, height: 900 })
     await page.unrouteAll()

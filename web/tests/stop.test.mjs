@@ -1,7 +1,7 @@
 /** What the page says of a stop, and of what it shows when nobody answers. */
 import assert from 'node:assert/strict'
 import { after, afterEach, before, describe, it } from 'node:test'
-import { accessibilityFaults, openBrowser, picture, unlock } from './browser.mjs'
+import { accessibilityFaults, becomes, openBrowser, picture, unlock } from './browser.mjs'
 import { startFront } from './front.mjs'
 import { startService } from './service.mjs'
 
@@ -69,14 +69,12 @@ describe('a stop', () => {
     moving('hang')
     await chromium.open(page, 'bench')
     await stop().click()
-    const sending = page.getByRole('button', { name: 'Sending…' })
-    await sending.waitFor()
-    assert.ok(await sending.isDisabled())
+    await page.getByRole('button', { name: 'Sending…', disabled: true }).waitFor()
     await notSent().getByText('No response within 2 s.').waitFor()
     moving()
     await stop().click()
     await page.getByText(/^Stopped after \d+ ms$/).waitFor()
-    assert.equal(await notSent().count(), 0)
+    await becomes(() => notSent().count(), 0)
     await picture(page, 'stop-stopped')
   })
 
@@ -91,7 +89,7 @@ describe('a stop', () => {
       await chromium.open(page, 'bench')
       await stop().click()
       await notSent().getByText(why).waitFor()
-      assert.ok(await stop().isEnabled())
+      await becomes(() => stop().isEnabled(), true)
       await picture(page, 'stop-not-sent')
       assert.deepEqual(await accessibilityFaults(page), [])
     })
@@ -146,7 +144,7 @@ describe('a stop', () => {
     assert.equal(front.count('POST', STOP), 1)
     // What gave way is asked for again, and the view comes.
     await one.getByRole('heading', { name: 'Simulators', level: 1 }).waitFor()
-    assert.equal(later(), 0)
+    await becomes(later, 0)
     await one.context().close()
   })
 

@@ -1,7 +1,7 @@
 /** Verdict, gauge, error and means of a dose use one number, the final reading, and say how sure it is. */
 import assert from 'node:assert/strict'
 import { after, before, describe, it } from 'node:test'
-import { accessibilityFaults, csvOf, openBrowser, picture } from './browser.mjs'
+import { accessibilityFaults, becomes, csvOf, openBrowser, picture } from './browser.mjs'
 import { startService } from './service.mjs'
 
 let service, chromium, page
@@ -43,10 +43,10 @@ const fact = (name) => page.locator('main dl div', { has: page.locator('dt', { h
 describe('a dose of which the balance shows another mass than is in the vial', () => {
   it('is judged, drawn and told by the reading, with the true mass beside it', async () => {
     await show({ ...SALT, measured: measured(0.3, true) })
-    assert.equal(await page.locator('.verdict .badge').textContent(), 'Within')
-    assert.match(await gauge().getAttribute('aria-label'), /^Error −0\.40 mg, uncertainty 0\.30 mg; accepted from −1\.00 to \+1\.00 mg$/)
-    assert.match(await fact('Error, reading').textContent(), /^−0\.40 mg ± 0\.30$/)
-    assert.match(await fact('True mass, in simulation').textContent(), /^10\.10 mg −1\.90 from the target$/)
+    await becomes(() => page.locator('.verdict .badge').textContent(), 'Within')
+    await becomes(() => gauge().getAttribute('aria-label'), /^Error −0\.40 mg, uncertainty 0\.30 mg; accepted from −1\.00 to \+1\.00 mg$/)
+    await becomes(() => fact('Error, reading').textContent(), /^−0\.40 mg ± 0\.30$/)
+    await becomes(() => fact('True mass, in simulation').textContent(), /^10\.10 mg −1\.90 from the target$/)
     assert.deepEqual(await accessibilityFaults(page), [])
   })
 
@@ -76,7 +76,7 @@ describe('a dose that a person stopped', () => {
 describe('a dose within its tolerance by less than its uncertainty', () => {
   it('is not proven, and its uncertainty is drawn as an interval', async () => {
     await show({ ...SALT, measured: measured(0.9, false) })
-    assert.equal(await page.locator('.verdict .badge').textContent(), 'Within, not proven')
+    await becomes(() => page.locator('.verdict .badge').textContent(), 'Within, not proven')
     const [low, high] = await gauge().locator('.interval').evaluate((path) => { const { x, width } = path.getBBox(); return [x, x + width] })
     const band = await gauge().locator('.band').evaluate((rect) => { const { x, width } = rect.getBBox(); return [x, x + width] })
     // From −1.3 to +0.5 mg on a scale where the band goes from −1 to +1 mg.
@@ -113,8 +113,8 @@ describe('a dose that was broken off', () => {
       await show(weighing, [{ step: 1, t_s: 1, reading: { mass_mg: 3, stable: false }, action: { incline_change_deg: 1, shake_mm: 1 }, pitch_deg: 10 }])
       await page.getByRole('group', { name: 'Balance', exact: true }).getByText('no reading').waitFor()
       await page.getByText('There is no final reading.').waitFor()
-      assert.equal(await gauge().count(), 0)
-      assert.equal(await fact('Error, reading').textContent(), '–')
+      await becomes(() => gauge().count(), 0)
+      await becomes(() => fact('Error, reading').textContent(), '–')
     }
     await picture(page, 'weighing-aborted')
   })

@@ -1,7 +1,7 @@
 /** A dose that was asked for is poured once, whatever became of the answer. */
 import assert from 'node:assert/strict'
 import { after, afterEach, before, describe, it } from 'node:test'
-import { openBrowser, openPanel, picture, unlock } from './browser.mjs'
+import { becomes, openBrowser, openPanel, picture, unlock } from './browser.mjs'
 import { startFront } from './front.mjs'
 import { startService } from './service.mjs'
 
@@ -83,7 +83,7 @@ describe('a dose whose answer was lost', () => {
     answers()
     await page.reload()
     await lost().getByText(`${target}.00 mg of Sand`).waitFor()
-    assert.equal(await page.getByLabel('Target').inputValue(), String(target))
+    await becomes(() => page.getByLabel('Target').inputValue(), String(target))
     await weigh()
     await taken()
     await saysBefore()
@@ -116,6 +116,7 @@ describe('a dose that was answered', () => {
       await fill()
       await weigh()
       await taken()
+      await page.locator('.verdict').waitFor()
     }
     assert.deepEqual([keys().size, await stored(), await page.getByText('had already been accepted').count()], [2, before + 2, 0])
   })

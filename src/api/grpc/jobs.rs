@@ -3,6 +3,7 @@
 use super::convert::{all, at, named, page};
 use super::proto::*;
 use super::{EventStream, Service, after, read, watch, write};
+use crate::api::problem::Problem;
 use crate::app::{self, JobsWanted, LabelWanted, Topic};
 use tonic::{Request, Response, Status};
 
@@ -15,7 +16,7 @@ impl jobs_server::Jobs for Service {
         let ListJobsRequest { page: wanted, kind, state, label } = read(request)?;
         let kind = named::<JobKind, _>("kind", kind.unwrap_or_default())?;
         let state = named::<JobState, _>("state", state.unwrap_or_default())?;
-        let label = LabelWanted::among(label.as_deref())?;
+        let label = LabelWanted::among(label.as_deref()).map_err(Problem::from)?;
         let found = self.app.jobs(JobsWanted { kind, state, label }, page(wanted)).await?;
         let found = self.app.all_labelled(found).await?;
         Ok(Response::new(ListJobsResponse { items: all(found.items), next: found.next }))

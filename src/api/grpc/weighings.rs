@@ -73,7 +73,7 @@ impl weighings_server::Weighings for Service {
             list: asked.list,
             policy: asked.policy,
             bench: bench.transpose()?,
-            label: LabelWanted::among(asked.label.as_deref())?,
+            label: LabelWanted::among(asked.label.as_deref()).map_err(Problem::from)?,
             state: named::<WeighingState, _>("state", asked.state)?,
             outcome: named::<Outcome, _>("outcome", asked.outcome)?,
             outside: asked.outside,

@@ -4,7 +4,6 @@ use super::{BenchKind, Day, Labels, Timestamp, Verdict, VialCheck};
 use crate::app;
 use flip_core::domain::powder_card;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Which powder to probe.

@@ -3,7 +3,6 @@
 use super::{Day, Job, Labels, Spoon, Timestamp, Under};
 use crate::app;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Result of a training.
