@@ -103,6 +103,7 @@ async fn ask(store: &Store, bench: &Bench, set: &ParameterSet, id: &str) {
         under: None,
         patch: Default::default(),
         asked: Default::default(),
+        labels: Default::default(),
         vial_check: VialCheck::Skip,
     };
     let key = id.to_owned();
