@@ -63,10 +63,7 @@ fn with_options<T>(
             result = acting(Who::command_line(), work(&lab)) => result,
             signal = signals.received() => Err(interrupted(signal)),
         };
-        let closed = app.shutdown().await;
-        let result = result?;
-        closed?;
-        Ok(result)
+        closed(&app, result).await
     })
 }
 
@@ -82,10 +79,7 @@ pub(super) fn beside<T>(
     runtime()?.block_on(async {
         let app = App::open_beside(&common.data_dir).await?;
         let result = acting(Who::command_line(), work(&Lab::from(&app))).await;
-        let closed = app.shutdown().await;
-        let result = result?;
-        closed?;
-        Ok(result)
+        closed(&app, result).await
     })
 }
 
@@ -99,10 +93,17 @@ pub(super) fn with_reader<T>(
     }
     runtime()?.block_on(async {
         let app = App::open_to_read(&common.data_dir).await?;
-        let result = work(&Lab::from(&app)).await?;
-        app.shutdown().await?;
-        Ok(result)
+        let result = work(&Lab::from(&app)).await;
+        closed(&app, result).await
     })
+}
+
+/// Closes the application whatever the result, which is returned.
+async fn closed<T>(app: &App, result: Result<T, Failure>) -> Result<T, Failure> {
+    let closed = app.shutdown().await;
+    let result = result?;
+    closed?;
+    Ok(result)
 }
 
 /// Runs `work` with a server. SIGTERM and Ctrl-C end the command: a dose that it asked for is

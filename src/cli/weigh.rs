@@ -9,7 +9,7 @@ use super::session::with_bench;
 use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
-use super::weigh_list;
+use super::weigh_list::{self, stands};
 use crate::app::{
     Asked, Error, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest, Weighing,
     WeighingRequest,
@@ -258,7 +258,7 @@ pub(super) async fn ended(
     id: &str,
     vial: &VialReadyRequest,
 ) -> Result<Weighing, Failure> {
-    let mut said = false;
+    let (mut said, mut told) = (false, false);
     let mut weighing = lab.weighing(id).await?.weighing;
     loop {
         let look = match weighing.state {
@@ -271,11 +271,23 @@ pub(super) async fn ended(
                 said = true;
                 OFTEN
             }
-            WeighingState::Planned | WeighingState::AwaitingVial => OFTEN,
+            WeighingState::Planned | WeighingState::AwaitingVial => {
+                told = told || tell_why_it_waits(lab, id).await?;
+                OFTEN
+            }
             WeighingState::Armed | WeighingState::Dosing | WeighingState::Settling => SELDOM,
         };
         weighing = lab.weighing_later(id, look).await?.weighing;
     }
+}
+
+/// Says that a server's bench starts nothing, if that is why; the weighing keeps its place meanwhile.
+async fn tell_why_it_waits(lab: &Lab, id: &str) -> Result<bool, Failure> {
+    let why = if lab.is_shared() { stands(lab).await? } else { None };
+    if let Some(why) = &why {
+        telemetry::say(format_args!("flip: weighing {id} waits, because {why}"));
+    }
+    Ok(why.is_some())
 }
 
 /// The refusal in terms of the flags: `target.value` is `--target-mg` here.

@@ -143,7 +143,7 @@ async fn ended(lab: &Lab, id: &str, place: &str) -> Result<Option<String>, Failu
 }
 
 /// Why the bench starts nothing.
-async fn stands(lab: &Lab) -> Result<Option<String>, Failure> {
+pub(super) async fn stands(lab: &Lab) -> Result<Option<String>, Failure> {
     let bench = lab.bench().await?;
     let latched = bench.latch.map(|it| {
         format!("the bench is latched: {}. Look at it, then `flip bench clear`", it.reason)

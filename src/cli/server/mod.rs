@@ -39,8 +39,8 @@ const PAUSE: Duration = Duration::from_millis(200);
 const PAUSE_MAX: Duration = Duration::from_secs(5);
 /// Longest pause that a server may ask for.
 const RETRY_AFTER_MAX_S: u64 = 60;
-/// Statuses worth another try: the server has done nothing, or says the same again.
-const RETRIED: [u16; 7] = [408, 425, 429, 500, 502, 503, 504];
+/// Statuses worth another try: it is too early, too much, or a proxy speaks.
+const RETRIED: [u16; 6] = [408, 425, 429, 502, 503, 504];
 
 /// A server, and what this command has begun there. Cheap to clone.
 #[derive(Clone)]
@@ -179,8 +179,8 @@ impl Inner {
 
     /// Sends a request, again if that changes nothing and the server may answer then.
     fn send(&self, request: &Request) -> app::Result<Answer> {
-        let mut may_have_arrived = false;
-        for tried in 0.. {
+        let (mut tried, mut may_have_arrived) = (0, false);
+        loop {
             let is_last = tried == TRIES || !request.repeatable;
             let pause = match self.send_once(request) {
                 Ok((answer, headers)) if is_last || !RETRIED.contains(&answer.status) => {
@@ -200,8 +200,8 @@ impl Inner {
                 }
             };
             std::thread::sleep(pause);
+            tried += 1;
         }
-        unreachable!("the last try returns")
     }
 
     /// Sends a request, whatever the status of its answer.
