@@ -112,6 +112,10 @@ impl Inner {
         let stopped = Request::post(&["weighings", id, "stop"], &serde_json::json!({}))
             .and_then(|request| self.send(&request.repeatable())?.json::<Weighing>());
         match stopped {
+            Ok(weighing) if weighing.state == WeighingState::Done => (
+                format!("weighing {id} had ended before: `flip bench status` shows the bench"),
+                true,
+            ),
             Ok(weighing) if weighing.started_at.is_some() => {
                 let advice =
                     "the bench is held until someone has looked and resumes (`flip bench resume`)";

@@ -85,7 +85,7 @@ fn interrupted(process: Child, proxy: &Proxy) -> Output {
 fn an_interrupt_stops_the_dose_at_the_server() {
     let (folder, service) = served();
     let proxy = Proxy::to(&service.address(), &["GET /v1/weighings/"]);
-    let long = ["weigh", "--powder", "salt", "--target-mg", "150"];
+    let long = ["weigh", "--powder", "salt", "--target-mg", "36"];
     let mut weigh = command(&proxy.url, service.token(), &long);
     let weigh = weigh.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let output = interrupted(weigh, &proxy);
