@@ -109,7 +109,7 @@ const CONFINED: [(&str, &[&str]); 39] = [
     ("arrow_schema::", &["api"]),
     ("zip::", &["api"]),
     ("jsonwebtoken::", &["app"]),
-    ("ureq::", &["app"]),
+    ("ureq::", &["app", "cli"]),
     ("maud::", &["app"]),
     ("rayon::", &["calibrate", "judge", "investigate", "traces", "train", "jobs", "cli", "python"]),
     ("clap::", &["cli"]),

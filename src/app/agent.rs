@@ -8,7 +8,7 @@ use ureq::tls::{RootCerts, TlsConfig};
 
 /// A client that trusts what this machine trusts, and gives up after `patience`. A redirect could
 /// lead anywhere, so none is followed; a status of any kind is an answer.
-pub(super) fn agent(patience: Duration) -> Agent {
+pub(crate) fn agent(patience: Duration) -> Agent {
     let tls = TlsConfig::builder()
         .root_certs(RootCerts::PlatformVerifier)
         .unversioned_rustls_crypto_provider(Arc::new(ring::default_provider()))

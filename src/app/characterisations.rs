@@ -10,6 +10,7 @@ use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, OnOverdose, PROBE_SPOONFULS_MAX, Probe};
 use flip_core::domain::{FieldError, bounded};
 use flip_store::weighings::Weighing;
+use serde::Serialize;
 
 /// Spoonfuls of a probing run: one for each stroke.
 const SPOONFULS: u32 = 3;
@@ -17,7 +18,7 @@ const SPOONFULS: u32 = 3;
 const LIMIT_MG_MIN: f64 = 1.0;
 
 /// Which powder to probe.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CharacterisationRequest {
     /// Powder id.
     pub powder: String,

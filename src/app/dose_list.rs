@@ -18,6 +18,7 @@ use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, WeighRequest};
 use flip_store::weighings::{Intent, Weighing};
 use flip_store::{new_id, now};
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// Maximum length of a name, characters.
@@ -40,7 +41,7 @@ const NUMBERS: [&str; 7] = [
 const WORDS: [&str; 5] = ["powder", "position", "vial", "lot", "operator"];
 
 /// Doses that belong together.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DoseListRequest {
     /// Name of the list, a new one.
     pub name: String,
@@ -67,7 +68,7 @@ pub struct DoseListRequest {
 }
 
 /// A list of doses as it was understood.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct DoseList {
     /// Its name.
     pub name: String,
@@ -76,7 +77,7 @@ pub struct DoseList {
 }
 
 /// A dose of a list.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct ListedDose {
     /// Its weighing; `None` if the list was only checked.
     pub weighing: Option<String>,
@@ -91,6 +92,7 @@ pub struct ListedDose {
     /// Policy id.
     pub policy: String,
     /// Lot, vial, operator and position.
+    #[serde(default)]
     pub asked: Asked,
 }
 

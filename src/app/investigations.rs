@@ -296,6 +296,29 @@ pub fn predictions_csv(rows: &[Row]) -> String {
     text
 }
 
+/// The rows that [`predictions_csv`] wrote; `None` if it did not write this.
+pub fn predictions_of_csv(text: &str) -> Option<Vec<Row>> {
+    text.lines().skip(1).map(prediction).collect()
+}
+
+fn prediction(line: &str) -> Option<Row> {
+    let cells: Vec<&str> = line.split(',').collect();
+    let [row, powder, before, before_sd, after, after_sd] = cells[..] else { return None };
+    let mean = |cell: &str| match cell {
+        "" => Some(None),
+        cell => cell.parse().ok().map(Some),
+    };
+    Some(Row {
+        row: row.parse().ok()?,
+        powder: powder.to_owned(),
+        measured_deg: None,
+        before_deg: mean(before)?,
+        before_sd_deg: before_sd.parse().ok()?,
+        after_deg: mean(after)?,
+        after_sd_deg: after_sd.parse().ok()?,
+    })
+}
+
 /// Marks errors as those of the traces file: the file of angles may have the same rows and columns.
 fn of_traces(error: Error) -> Error {
     let named = |it: FieldError| match it.field.as_str() {

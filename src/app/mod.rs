@@ -74,6 +74,7 @@ pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::jobs::{Conditions, Functions, Workers, give_way_to_the_bench};
+pub(crate) use agent::agent;
 pub use asked::asked_after;
 pub use audit_search::{AUDIT_CSV_HEADER, AuditAsked, audit_csv};
 pub use backup::{BackupError, back_up, restore};
@@ -142,7 +143,9 @@ pub use flip_store::weighings::{Waiting, Weighing};
 pub use flip_store::who::{Who, acting, correlated};
 pub use flip_store::withdrawals::Withdrawn;
 pub use inference::{Driver, Driving, Proposal};
-pub use investigations::{Investigation, InvestigationRequest, predictions_csv};
+pub use investigations::{
+    Investigation, InvestigationRequest, predictions_csv, predictions_of_csv,
+};
 pub use job_times::JobTimes;
 pub use judged_shakes::StoredShakes;
 pub use keyring::Holder;

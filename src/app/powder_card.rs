@@ -12,37 +12,37 @@ use flip_core::domain::timestamp::Timestamp;
 use flip_discover::report::Verdict;
 use flip_store::page::PageQuery;
 use flip_store::spoonfuls::ShakesWanted;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Newest investigations among which one of the powder's shakes is looked for.
 const LOOKED_AT: u32 = 50;
 
 /// The card, and what it is of.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CardOfPowder {
     /// Powder id.
     pub powder: String,
     /// Only of this lot; absent for all, and unknown ones.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lot: Option<String>,
     /// Of weighings on this bench, and imported spoonfuls; absent for every bench.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchKind>,
     /// Where its spoonfuls come from.
     pub lots: Vec<LotOnCard>,
     /// When the last weighing with a shake began, or the last spoonful was imported.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub last_at: Option<Timestamp>,
     /// What the newest investigation of its shakes said; absent if there was none.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub judged: Option<JudgedSpoon>,
     /// The numbers.
     pub card: PowderCard,
 }
 
 /// What an investigation said of a powder's shakes.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JudgedSpoon {
     /// The investigation.
     pub investigation: String,
@@ -51,15 +51,15 @@ pub struct JudgedSpoon {
     /// In plain words.
     pub sentence: String,
     /// The version of the simulator made from it; absent if none was.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub simulator: Option<String>,
 }
 
 /// Spoonfuls of a lot.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LotOnCard {
     /// Its name; absent if unknown.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lot: Option<String>,
     /// Spoonfuls.
     pub spoonfuls: usize,

@@ -18,7 +18,7 @@ use flip_store::spoonfuls::{Forgotten, ImportedSpoonful, ShakesWanted};
 use flip_store::weighings::{Weighing, WeighingRow};
 use futures::StreamExt;
 use futures::stream::{self, BoxStream};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::HashMap;
 
@@ -31,38 +31,39 @@ const STEP_MG: f64 = 1.0;
 const LOT_CHARS_MAX: usize = 200;
 
 /// A spoonful and where it comes from.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KeptSpoonful {
     /// The spoonful.
     pub spoonful: Spoonful,
     /// The bench that shook it; absent if it was imported.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchKind>,
     /// Where imported numbers come from.
-    #[serde(skip_serializing_if = "String::is_empty")]
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub source: String,
     /// When the weighing began, or when it was imported.
     pub at: Timestamp,
 }
 
 /// Result of importing a file of shakes.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ImportedShakes {
     /// Ids of the powders registered because the file names them.
     pub powders: Vec<String>,
     /// Powders given by name in the file, with the ids made or found for them.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub named: Vec<NamedPowder>,
     /// Spoonfuls added.
     pub spoonfuls: usize,
     /// Their shakes.
     pub shakes: usize,
     /// Spoonfuls of the file that were stored already with the same shakes, and were skipped.
+    #[serde(default)]
     pub already_stored: usize,
 }
 
 /// What was forgotten.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ForgottenShakes {
     /// Up to when.
     pub forgotten: Forgotten,

@@ -112,13 +112,13 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         What::Verify { hash } => verify(common, hash.as_deref()),
         What::Export { which, format, out } => export(common, which, *format, out.clone()),
         What::Archive { before } => {
-            let done = beside(common, async |app| Ok(app.archive_audit(before).await?))?;
+            let done = beside(common, async |lab| Ok(lab.here()?.archive_audit(before).await?))?;
             common.print(&done, || archived(&done))
         }
         What::Certificate { weighing, laboratory, out } => {
             let laboratory = laboratory.as_deref();
             let page =
-                with_reader(common, async |app| Ok(app.certificate(weighing, laboratory).await?))?;
+                with_reader(common, async |lab| Ok(lab.certificate(weighing, laboratory).await?))?;
             std::fs::write(out, page)?;
             let written = Written { file: out.clone(), records: 1 };
             common.print(&written, || format!("{} holds the certificate", written.file.display()))
@@ -127,7 +127,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 }
 
 fn verify(common: &Common, hash: Option<&str>) -> Result<(), Failure> {
-    let found = with_reader(common, async |app| Ok(app.verify_audit(hash).await?))?;
+    let found = with_reader(common, async |lab| Ok(lab.verify_audit(hash).await?))?;
     common.print(&found, || text(&found))?;
     match is_intact(&found) {
         true => Ok(()),
@@ -188,9 +188,8 @@ fn differences(found: &AuditVerification) -> String {
 }
 
 fn export(common: &Common, which: &Which, format: Format, out: PathBuf) -> Result<(), Failure> {
-    let (text, records) = with_reader(common, async |app| {
-        let mut all = Vec::new();
-        app.export_audit(which.asked(), |record| all.push(record.clone())).await?;
+    let (text, records) = with_reader(common, async |lab| {
+        let all = lab.audit_records(which.asked()).await?;
         let text = match format {
             Format::Json => serde_json::to_string_pretty(&all)?,
             Format::Csv => {

@@ -1,14 +1,15 @@
 //! `flip calibrate`: parameter sets whose simulated heaps have the measured angle of repose.
 
 use super::failure::Failure;
+use super::lab::Lab;
 use super::session::with_app;
 use super::shakes::Bench;
 use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
-use super::{Common, FIRST_PAGE, observe, parameters};
+use super::{Common, observe, parameters};
 use crate::app::{
-    App, Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Marginal, Observed,
+    Calibration, CalibrationMethod, CalibrationRequest, EmulatorUse, Marginal, Observed,
     PAPER_LEVELS_DEG, Pair, Posterior, StoredShakes,
 };
 use clap::ValueEnum;
@@ -222,8 +223,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         lot: arguments.lot.clone(),
         bench: arguments.shaken_on.map(Bench::kind),
     });
-    let done = with_app(common, async |app| {
-        let targets = targets(app, arguments).await?;
+    let done = with_app(common, async |lab| {
+        let targets = targets(lab, arguments).await?;
         if observations.is_some() && targets.len() > 1 {
             return Err(FieldError::new(
                 "observation",
@@ -246,10 +247,10 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             (target, request)
         });
         let mut done = Vec::new();
-        for calibration in calibrate_each(app, &Watch::new(), requests.collect()).await? {
+        for calibration in calibrate_each(lab, &Watch::new(), requests.collect()).await? {
             let has = calibration.result.as_ref().is_some_and(|result| result.posterior.is_some());
             let posterior =
-                if has { Some(app.posterior(&calibration.job.id).await?) } else { None };
+                if has { Some(lab.posterior(&calibration.job.id).await?) } else { None };
             done.push((calibration, posterior));
         }
         Ok(done)
@@ -263,7 +264,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 /// Calibrates every target as a job (or finds the existing job), and waits for all of them; results
 /// in the order of the targets.
 pub(super) async fn calibrate(
-    app: &App,
+    lab: &Lab,
     watch: &Watch,
     targets: &[Target],
     search: Option<&Search>,
@@ -274,22 +275,22 @@ pub(super) async fn calibrate(
         let simulator = simulator.map(str::to_owned);
         (target.clone(), CalibrationRequest { simulator, ..request(target, search, seed) })
     });
-    calibrate_each(app, watch, requests.collect()).await
+    calibrate_each(lab, watch, requests.collect()).await
 }
 
 async fn calibrate_each(
-    app: &App,
+    lab: &Lab,
     watch: &Watch,
     requests: Vec<(Target, CalibrationRequest)>,
 ) -> Result<Vec<Calibration>, Failure> {
     let mut jobs = Vec::new();
     for (target, request) in requests {
-        let (job, _) = app.start_calibration(request).await?;
+        let (job, _) = lab.start_calibration(request).await?;
         jobs.push((job.id, format!("calibrate {target}")));
     }
     try_join_all(jobs.iter().map(async |(id, label)| {
-        watch.job(app, id, label).await?;
-        Ok(app.calibration(id).await?)
+        watch.job(lab, id, label).await?;
+        Ok(lab.calibration(id).await?)
     }))
     .await
 }
@@ -325,7 +326,7 @@ fn request(target: &Target, search: Option<&Search>, seed: u64) -> CalibrationRe
     }
 }
 
-async fn targets(app: &App, arguments: &Arguments) -> Result<Vec<Target>, Failure> {
+async fn targets(lab: &Lab, arguments: &Arguments) -> Result<Vec<Target>, Failure> {
     let Arguments { powder, repose_deg, sd_deg, n, .. } = arguments;
     let levels =
         || PAPER_LEVELS_DEG.iter().map(|angle| Target::Angle(*angle, *sd_deg, *n)).collect();
@@ -333,8 +334,8 @@ async fn targets(app: &App, arguments: &Arguments) -> Result<Vec<Target>, Failur
         None if repose_deg.is_empty() => Ok(levels()),
         None => Ok(repose_deg.iter().map(|angle| Target::Angle(*angle, *sd_deg, *n)).collect()),
         Some("all") => {
-            let powders = app.powders(FIRST_PAGE).await?;
-            Ok(powders.items.into_iter().map(|powder| Target::Powder(powder.id)).collect())
+            let powders = lab.powders().await?;
+            Ok(powders.into_iter().map(|powder| Target::Powder(powder.id)).collect())
         }
         Some(powder) => Ok(vec![Target::Powder(powder.to_owned())]),
     }

@@ -4,22 +4,22 @@
 use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
+use super::lab::{Lab, Look};
 use super::session::{with_bench, with_reader};
 use super::simulator::SimulatorArguments;
 use super::table::table;
 use super::watch::Watch;
 use super::weigh::{calibrate_first, look};
 use crate::app::{
-    App, CardOfPowder, CharacterisationRequest, Error, Labels, VialCheck, VialReadyRequest,
-    Weighing,
+    CardOfPowder, CharacterisationRequest, Error, Labels, VialCheck, VialReadyRequest, Weighing,
 };
 use flip_core::domain::powder_card::{CardCurve, Estimate, PowderCard, StrokeClass};
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use serde::Serialize;
 use std::time::Duration;
 
-/// How often the run's row is polled.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// How often the run is looked at.
+const LOOK: Look = Look { here: Duration::from_millis(100), there_s: 1 };
 
 /// Arguments of `flip characterise`.
 #[derive(Debug, clap::Args)]
@@ -82,17 +82,18 @@ struct Document {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let (powder, lot) = (&arguments.powder, arguments.lot.as_deref());
     if arguments.show {
-        let kind = Some(arguments.bench.kind());
-        let card = with_reader(common, async |app| Ok(app.powder_card(powder, lot, kind).await?))?;
+        // A server knows its own.
+        let kind = common.server.is_none().then(|| arguments.bench.kind());
+        let card = with_reader(common, async |lab| Ok(lab.powder_card(powder, lot, kind).await?))?;
         return common.print(&card, || text_of(&card));
     }
     let request = request(common, arguments)?;
     // A new key: running the command again means another run.
     let key = uuid::Uuid::now_v7().to_string();
-    let (weighing, card) = with_bench(common, &arguments.bench, async |app| {
-        look(app, request.vial_check).await?;
-        let weighing = probe(app, &Watch::new(), request, &key).await?;
-        Ok((weighing, app.powder_card(powder, lot, None).await?))
+    let (weighing, card) = with_bench(common, &arguments.bench, async |lab| {
+        look(lab, request.vial_check).await?;
+        let weighing = probe(lab, &Watch::new(), request, &key).await?;
+        Ok((weighing, lab.powder_card(powder, lot, None).await?))
     })?;
     report(common, weighing, card)
 }
@@ -119,28 +120,28 @@ fn request(common: &Common, arguments: &Arguments) -> Result<CharacterisationReq
 /// Commits the run, first calibrating the powder if necessary, and waits until the bench has
 /// carried it out.
 async fn probe(
-    app: &App,
+    lab: &Lab,
     watch: &Watch,
     request: CharacterisationRequest,
     key: &str,
 ) -> Result<Weighing, Failure> {
-    let (weighing, _) = match app.characterise(request.clone(), key).await {
+    let weighing = match lab.characterise(request.clone(), key).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
             let seed = request.seed.unwrap_or(1);
             let (policy, simulator) = (request.policy.as_deref(), request.simulator.as_deref());
-            calibrate_first(app, watch, &message, &request.powder, policy, simulator, seed).await?;
-            app.characterise(request, key).await?
+            calibrate_first(lab, watch, &message, &request.powder, policy, simulator, seed).await?;
+            lab.characterise(request, key).await?
         }
         started => started?,
     };
-    ended(app, watch, &weighing.id).await
+    ended(lab, watch, &weighing.id).await
 }
 
 /// Waits until the run has ended, and says which spoonful it is at.
-async fn ended(app: &App, watch: &Watch, id: &str) -> Result<Weighing, Failure> {
+async fn ended(lab: &Lab, watch: &Watch, id: &str) -> Result<Weighing, Failure> {
     let (mut confirmed, mut said) = (false, 0);
+    let mut detail = lab.weighing(id).await?;
     loop {
-        let detail = app.weighing(id).await?;
         if let Some(last) = detail.ticks.last().filter(|last| last.spoonful > said) {
             said = last.spoonful;
             watch.say(&format!(
@@ -150,15 +151,16 @@ async fn ended(app: &App, watch: &Watch, id: &str) -> Result<Weighing, Failure> 
         }
         match detail.weighing.state {
             WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown => {
+                lab.has_ended(id);
                 return Ok(detail.weighing);
             }
             WeighingState::AwaitingVial if !confirmed => {
-                app.vial_ready(id, VialReadyRequest::default()).await?;
+                lab.vial_ready(id, VialReadyRequest::default()).await?;
                 confirmed = true;
             }
             _ => {}
         }
-        tokio::time::sleep(LOOK_EVERY).await;
+        detail = lab.weighing_later(id, LOOK).await?;
     }
 }
 

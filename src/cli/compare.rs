@@ -21,7 +21,7 @@ pub(super) struct Arguments {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let Arguments { calibration, with } = arguments;
     let comparison =
-        with_reader(common, async |app| Ok(app.compare_calibrations(calibration, with).await?))?;
+        with_reader(common, async |lab| Ok(lab.compare_calibrations(calibration, with).await?))?;
     common.print(&comparison, || text(&comparison))
 }
 

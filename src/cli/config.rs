@@ -10,11 +10,12 @@
 //! A table is a command, a key is one of its long options, with dashes or underscores. Settings
 //! from the file are appended to the typed arguments if these omit them. Precedence: command line,
 //! environment, file, default in `--help`; typed options also override settings in the file that
-//! conflict with them. A file with an error sets nothing. A person's confirmations for the moment,
+//! conflict with them. `server` applies to the commands that can ask one, and puts aside what it has
+//! itself, such as `data_dir`. A file with an error sets nothing. A person's confirmations for the moment,
 //! that the bench was checked or which vial is in, cannot be set in a file.
 
 use super::failure::Failure;
-use super::{Cli, Common};
+use super::{Cli, Common, reach};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command, CommandFactory};
@@ -105,16 +106,18 @@ fn with(settings: &[Setting], mut arguments: Vec<OsString>) -> Vec<OsString> {
     };
     let mut command = Cli::command();
     command.build();
-    let added =
-        settings.iter().filter(|it| it.is_wanted(&command, &typed)).flat_map(Setting::typed);
-    let added: Vec<OsString> = added.map(OsString::from).collect();
+    let wanted: Vec<_> = settings.iter().filter(|it| it.is_wanted(&command, &typed)).collect();
+    let is_server = |it: &&Setting| it.option == "server" && reach::fits("server", &typed, false);
+    let asks_server = wanted.iter().any(is_server);
+    let added = wanted.iter().filter(|it| reach::fits(&it.option, &typed, asks_server));
+    let added: Vec<OsString> = added.flat_map(|it| it.typed()).map(OsString::from).collect();
     let end = arguments.iter().position(|it| it == "--").unwrap_or(arguments.len());
     arguments.splice(end..end, added);
     arguments
 }
 
 /// Whether this option was given, on the command line or in the environment.
-fn is_given(typed: &ArgMatches, id: &str) -> bool {
+pub(super) fn is_given(typed: &ArgMatches, id: &str) -> bool {
     let source = typed.try_contains_id(id).is_ok().then(|| typed.value_source(id)).flatten();
     matches!(source, Some(ValueSource::CommandLine | ValueSource::EnvVariable))
 }

@@ -5,6 +5,7 @@ use super::Common;
 use super::benches::BenchArguments;
 use super::calibrate::{Search, Target, calibrate};
 use super::failure::Failure;
+use super::lab::Lab;
 use super::serve::{self, Address};
 use super::session::{StopSignals, interrupted, runtime};
 use super::table::table;
@@ -151,8 +152,9 @@ async fn attended(
     if let Some(token) = token::first(app).await? {
         telemetry::say(format_args!("flip: {}", serve::announce(&token)));
     }
+    let lab = Lab::from(app);
     let document = tokio::select! {
-        document = acting(Who::command_line(), demonstrate(app, common, arguments)) => document?,
+        document = acting(Who::command_line(), demonstrate(&lab, common, arguments)) => document?,
         signal = signals.received() => return Err(interrupted(signal)),
         () = stop.cancelled() => return Ok(()),
     };
@@ -169,22 +171,22 @@ async fn attended(
 
 /// Calibrates, trains, weighs.
 async fn demonstrate(
-    app: &App,
+    lab: &Lab,
     common: &Common,
     arguments: &Arguments,
 ) -> Result<Document, Failure> {
     let (began, watch) = (Instant::now(), Watch::new());
     let targets = PUBLISHED.map(|powder| Target::Powder(powder.id.to_owned()));
-    watch.say(&told(&first_dose(app, &watch, common).await?));
+    watch.say(&told(&first_dose(lab, &watch, common).await?));
     let calibrations =
-        calibrate(app, &watch, &targets, Some(&arguments.search), None, common.seed).await?;
-    let learned = learn(app, &watch, common, arguments).await?;
+        calibrate(lab, &watch, &targets, Some(&arguments.search), None, common.seed).await?;
+    let learned = learn(lab, &watch, common, arguments).await?;
     let mut rows = Vec::new();
     for (powder, calibration) in PUBLISHED.iter().zip(&calibrations) {
-        let with_trained = dose(app, &watch, common, powder.id, Some(&learned.policy)).await?;
+        let with_trained = dose(lab, &watch, common, powder.id, Some(&learned.policy)).await?;
         rows.push(row(
             calibration,
-            dose(app, &watch, common, powder.id, None).await?,
+            dose(lab, &watch, common, powder.id, None).await?,
             &with_trained,
         )?);
     }
@@ -208,7 +210,7 @@ async fn demonstrate(
 /// Weighs a dose of a powder, with the policy of this id or the one that a weighing uses by
 /// default.
 async fn dose(
-    app: &App,
+    lab: &Lab,
     watch: &Watch,
     common: &Common,
     powder: &str,
@@ -222,15 +224,15 @@ async fn dose(
     let request = request(powder, TARGET_MG, TOLERANCE_MG);
     let request =
         WeighingRequest { policy: policy.map(str::to_owned), seed: Some(common.seed), ..request };
-    weigh(app, watch, request, &key).await
+    weigh(lab, watch, request, &key).await
 }
 
 /// Weighs something within the first minutes, of a powder calibrated with the quick method; the
 /// table has doses of its own.
-async fn first_dose(app: &App, watch: &Watch, common: &Common) -> Result<Weighing, Failure> {
+async fn first_dose(lab: &Lab, watch: &Watch, common: &Common) -> Result<Weighing, Failure> {
     let key = format!("demo-{}-first-{TARGET_MG}-mg", common.seed);
     let request = request(PUBLISHED[0].id, TARGET_MG, TOLERANCE_MG);
-    weigh(app, watch, WeighingRequest { seed: Some(common.seed), ..request }, &key).await
+    weigh(lab, watch, WeighingRequest { seed: Some(common.seed), ..request }, &key).await
 }
 
 /// The first dose, in one line.
@@ -245,7 +247,7 @@ fn told(dose: &Weighing) -> String {
 }
 
 async fn learn(
-    app: &App,
+    lab: &Lab,
     watch: &Watch,
     common: &Common,
     arguments: &Arguments,
@@ -257,7 +259,7 @@ async fn learn(
         seed: Some(common.seed),
         ..Default::default()
     };
-    let training = train(app, watch, request).await?;
+    let training = train(lab, watch, request).await?;
     Ok(training
         .result
         .ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?)

@@ -1,15 +1,16 @@
 //! `flip discover`: what measured angles and balance readings reveal that the simulator does not
 //! reproduce.
 
+use super::Common;
 use super::failure::Failure;
+use super::lab::Lab;
 use super::measurements::read;
 use super::session::{with_app, with_reader};
 use super::shakes::Bench;
 use super::table::table;
 use super::watch::Watch;
-use super::{Common, FIRST_PAGE};
 use crate::app::{
-    App, CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead,
+    CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead,
     InvestigationRequest, Labels, Report, SimulatorVersion, StoredShakes, names, predictions_csv,
     report_html,
 };
@@ -171,12 +172,12 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         None => discover(common, &arguments.campaign),
         Some(Action::Predict { simulator, measurements }) => {
             let csv = read("measurements", measurements)?;
-            let rows = with_app(common, async |app| Ok(app.predict(simulator, &csv).await?))?;
+            let rows = with_app(common, async |lab| Ok(lab.predict(simulator, &csv).await?))?;
             common.print(&rows, || predictions_csv(&rows))
         }
         Some(Action::Versions) => {
-            let (versions, current) = with_reader(common, async |app| {
-                Ok((app.simulators(FIRST_PAGE).await?.items, app.current_simulator().await?))
+            let (versions, current) = with_reader(common, async |lab| {
+                Ok((lab.simulators().await?, lab.current_simulator().await?))
             })?;
             common.print(&versions, || {
                 format!("{}\n\n{}", versions_text(&versions), current_text(&current))
@@ -184,7 +185,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         }
         Some(Action::Use { simulator, reason }) => {
             let chosen = ChosenSimulator { simulator: simulator.clone(), reason: reason.clone() };
-            let current = with_app(common, async |app| Ok(app.choose_simulator(&chosen).await?))?;
+            let current = with_app(common, async |lab| Ok(lab.choose_simulator(&chosen).await?))?;
             common.print(&current, || current_text(&current))
         }
     }
@@ -227,7 +228,7 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
         seed: Some(common.seed),
         labels: Labels::default(),
     };
-    let report = with_app(common, async |app| investigate(app, request, out).await)?;
+    let report = with_app(common, async |lab| investigate(lab, request, out).await)?;
     let json = serde_json::to_string_pretty(&report)? + "\n";
     let files = [
         ("report.json", json),
@@ -239,17 +240,17 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
 }
 
 async fn investigate(
-    app: &App,
+    lab: &Lab,
     request: InvestigationRequest,
     out: &Path,
 ) -> Result<Report, Failure> {
-    let (job, _) = app.start_investigation(request).await?;
+    let (job, _) = lab.start_investigation(request).await?;
     // Before the work, which would be lost if the folder cannot be created.
     let refused =
         |error| FieldError::new("out", format!("{} cannot be made: {error}", out.display()));
     fs::create_dir_all(out).map_err(refused)?;
-    Watch::new().job(app, &job.id, "discover").await?;
-    let report = app.investigation(&job.id).await?.report;
+    Watch::new().job(lab, &job.id, "discover").await?;
+    let report = lab.investigation(&job.id).await?.report;
     Ok(report.ok_or_else(|| anyhow::anyhow!("investigation {} has no report", job.id))?)
 }
 

@@ -5,6 +5,7 @@ use super::Common;
 use super::benches::spoon;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
+use super::lab::Lab;
 use super::parameters;
 use super::session::with_app;
 use super::simulator::{SimulatorArguments, words};
@@ -12,7 +13,7 @@ use super::table::table;
 use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{
-    App, Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow,
+    Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow,
     EvaluationSummary, Labels,
 };
 use flip_core::domain::conditions::Under;
@@ -90,7 +91,7 @@ struct Document {
 
 /// Evaluates and prints the errors.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let evaluation = with_app(common, async |app| evaluate(app, common, arguments).await)?;
+    let evaluation = with_app(common, async |lab| evaluate(lab, common, arguments).await)?;
     let id = evaluation.job.id;
     let result =
         evaluation.result.ok_or_else(|| anyhow::anyhow!("evaluation {id} has no result"))?;
@@ -110,7 +111,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 }
 
 async fn evaluate(
-    app: &App,
+    lab: &Lab,
     common: &Common,
     arguments: &Arguments,
 ) -> Result<Evaluation, Failure> {
@@ -133,21 +134,21 @@ async fn evaluate(
         seed: Some(common.seed),
         labels: Labels::default(),
     };
-    let (job, _) = match app.start_evaluation(request.clone()).await {
+    let (job, _) = match lab.start_evaluation(request.clone()).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
-            require_policy(app, arguments.policy.as_deref()).await?;
+            require_policy(lab, arguments.policy.as_deref()).await?;
             watch.say(&format!("{message}: calibrating first"));
             let published = || PUBLISHED.map(|powder| powder.id.to_owned()).into();
             let powders = request.powders.clone().unwrap_or_else(published);
             let targets: Vec<Target> = powders.into_iter().map(Target::Powder).collect();
-            calibrate(app, &watch, &targets, None, request.simulator.as_deref(), common.seed)
+            calibrate(lab, &watch, &targets, None, request.simulator.as_deref(), common.seed)
                 .await?;
-            app.start_evaluation(request).await?
+            lab.start_evaluation(request).await?
         }
         started => started?,
     };
-    watch.job(app, &job.id, "evaluate").await?;
-    Ok(app.evaluation(&job.id).await?)
+    watch.job(lab, &job.id, "evaluate").await?;
+    Ok(lab.evaluation(&job.id).await?)
 }
 
 fn text(document: &Document) -> String {

@@ -12,8 +12,8 @@ use std::process::ExitCode;
 pub(super) enum Failure {
     /// The input is invalid, field by field. Exit status 2.
     BadInput(Vec<FieldError>),
-    /// The input is valid but the command is not possible now: a prerequisite is missing, or
-    /// another process holds the database. Exit status 2.
+    /// The input is valid but the command is not possible now: a prerequisite is missing, another
+    /// process holds the database, or a server does not accept the token. Exit status 2.
     NotNow(String),
     /// The command printed its document, which reports a problem. Exit status 1; nothing more on
     /// stdout.
@@ -90,13 +90,13 @@ impl From<Error> for Failure {
             Error::NotFound { what, ref id } => {
                 FieldError::new(what, format!("there is no {what} `{id}`")).into()
             }
-            Error::Conflict { .. } | Error::Unprocessable { .. } => Self::NotNow(error.to_string()),
-            Error::Busy(_)
-            | Error::Unavailable(_)
+            Error::Conflict { .. }
+            | Error::Unprocessable { .. }
             | Error::Refused(_)
-            | Error::TokenEnded
-            | Error::Lost(_)
-            | Error::Internal(_) => Self::Failed(error.into()),
+            | Error::TokenEnded => Self::NotNow(error.to_string()),
+            Error::Busy(_) | Error::Unavailable(_) | Error::Lost(_) | Error::Internal(_) => {
+                Self::Failed(error.into())
+            }
         }
     }
 }

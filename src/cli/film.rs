@@ -3,13 +3,11 @@
 
 use super::Common;
 use super::failure::Failure;
+use super::lab::Lab;
 use super::session::with_app;
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{
-    App, Film, FilmHead, FilmRequest, FilmResult, HeapHead, Labels, PageQuery, StepSeen,
-    WeighingsAsked,
-};
+use crate::app::{Film, FilmHead, FilmRequest, FilmResult, HeapHead, Labels, StepSeen};
 use flip_core::domain::FieldError;
 use flip_core::domain::bench::BenchKind;
 use serde::Serialize;
@@ -67,9 +65,9 @@ struct Document {
 /// Makes the film, unless it is made already, and writes it.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let Arguments { weighing, spoonful, set, training, episode, out } = arguments;
-    let (film, bytes) = with_app(common, async |app| {
+    let (film, bytes) = with_app(common, async |lab| {
         let weighing = match (weighing, set, training) {
-            (None, None, None) => Some(newest(app).await?),
+            (None, None, None) => Some(newest(lab).await?),
             (weighing, ..) => weighing.clone(),
         };
         let request = FilmRequest {
@@ -81,9 +79,9 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             episode: *episode,
             labels: Labels::default(),
         };
-        let (job, _) = app.start_film(request).await?;
-        Watch::new().job(app, &job.id, "film").await?;
-        Ok((app.film(&job.id).await?, app.film_file(&job.id).await?.1))
+        let (job, _) = lab.start_film(request).await?;
+        Watch::new().job(lab, &job.id, "film").await?;
+        Ok((lab.film(&job.id).await?, lab.film_file(&job.id).await?))
     })?;
     if let Some(out) = out {
         std::fs::write(out, &bytes).map_err(|error| {
@@ -110,9 +108,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     common.print(&document, || text(&document))
 }
 
-async fn newest(app: &App) -> Result<String, Failure> {
-    let found = app.weighings(WeighingsAsked::default(), PageQuery::first(1)).await?;
-    let newest = found.page.items.into_iter().next();
+async fn newest(lab: &Lab) -> Result<String, Failure> {
+    let newest = lab.newest_weighing().await?;
     let advice = "there is none yet: `flip weigh` makes one";
     Ok(newest.ok_or_else(|| FieldError::new("weighing", advice))?.id)
 }

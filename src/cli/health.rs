@@ -2,6 +2,8 @@
 
 use super::Common;
 use super::failure::Failure;
+use super::server::Request;
+use super::session::there;
 use anyhow::{Context, anyhow};
 use serde::Serialize;
 use std::io::{Read, Write};
@@ -28,6 +30,11 @@ struct Document {
 
 /// Exit status 0 if the service answers `/healthz` with 200, else 1.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(server) = common.server()? {
+        let alive = Request::outside("/healthz");
+        there(server.clone(), async |_| Ok(server.answer(alive).await.map(drop)?))?;
+        return common.print(&Document { alive: true }, || "alive".into());
+    }
     let status = ask(arguments.listen)
         .with_context(|| format!("no service answers at {}", arguments.listen))?;
     match status.split(' ').nth(1) {

@@ -52,7 +52,7 @@ enum StateFlag {
 /// Prints the job list.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     if arguments.times {
-        let times = with_reader(common, async |app| Ok(app.job_times().await?))?;
+        let times = with_reader(common, async |lab| Ok(lab.job_times().await?))?;
         return common.print(&times, || times_text(&times));
     }
     let page = PageQuery {
@@ -63,7 +63,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let kind = arguments.kind.map(JobKind::from);
     let state = arguments.state.map(JobState::from);
     let wanted = JobsWanted { kind, state, label: None };
-    let jobs = with_reader(common, async |app| Ok(app.jobs(wanted, page).await?))?;
+    let jobs = with_reader(common, async |lab| Ok(lab.jobs(wanted, page).await?))?;
     common.print(&jobs, || text(&jobs.items))
 }
 

@@ -67,10 +67,10 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         rig,
         ..ReposeRequest::default()
     };
-    let measured = with_bench(common, &arguments.bench, async |app| {
-        let (Job { id, .. }, _) = app.start_repose(request).await?;
-        Watch::new().job(app, &id, powder).await?;
-        Ok(app.repose(&id).await?)
+    let measured = with_bench(common, &arguments.bench, async |lab| {
+        let (Job { id, .. }, _) = lab.start_repose(request).await?;
+        Watch::new().job(lab, &id, powder).await?;
+        Ok(lab.repose(&id).await?)
     })?;
     common.print(&measured, || text(&measured))
 }

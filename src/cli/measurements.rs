@@ -50,18 +50,22 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     match &arguments.action {
         Action::Import { file, create } => {
             let csv = read("file", file)?;
-            let imported = with_writer(common, async |app| {
-                Ok(app.import_measurements(&csv, *create).await?)
+            let imported = with_writer(common, async |lab| {
+                Ok(lab.import_measurements(&csv, *create).await?)
             })?;
             common.print(&imported, || text(&imported))
         }
         Action::Export { powder } => {
-            let measured =
-                with_reader(common, async |app| Ok(app.measured(powder.as_deref()).await?))?;
-            common.print(&measured, || measured.csv())
+            let powder = powder.as_deref();
+            if common.json {
+                let all = with_reader(common, async |lab| Ok(lab.measured(powder).await?))?;
+                return common.print(&all, String::new);
+            }
+            let csv = with_reader(common, async |lab| Ok(lab.measured_csv(powder).await?))?;
+            common.print(&csv, || csv.clone())
         }
         Action::Compare => {
-            let compared = with_reader(common, async |app| Ok(app.compare_methods().await?))?;
+            let compared = with_reader(common, async |lab| Ok(lab.compare_methods().await?))?;
             common.print(&compared, || comparison(&compared))
         }
     }

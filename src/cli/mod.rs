@@ -4,7 +4,7 @@
 //! document and nothing else; progress and logs go to stderr. Exit status 0: done, whatever the
 //! outcome; 2: bad input, with an error that names the field or the missing prerequisite; 1:
 //! failure. Commands call the same [`crate::app::App`] as REST and gRPC, in this process, so there
-//! is one path to every effect.
+//! is one path to every effect; or, with `--server`, that of a running service ([`lab::Lab`]).
 
 mod audit;
 mod backup;
@@ -24,6 +24,7 @@ mod failure;
 mod film;
 mod health;
 mod jobs;
+mod lab;
 mod manual;
 mod measure;
 mod measurements;
@@ -31,8 +32,10 @@ mod observe;
 mod oidc;
 mod parameters;
 mod policy;
+mod reach;
 mod repose;
 mod serve;
+mod server;
 mod session;
 mod shakes;
 mod simulator;
@@ -47,9 +50,10 @@ mod weigh_list;
 
 use crate::app::{ArchivedItems, LIST_LIMIT_MAX, PageQuery, Shown};
 use crate::telemetry;
-use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use failure::Failure;
 use serde::Serialize;
+use server::{Address, Server};
 use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -92,6 +96,13 @@ struct Common {
     /// sets.
     #[arg(long, global = true, value_name = "FILE", env = config::VARIABLE)]
     settings: Option<PathBuf>,
+    /// Ask the running `flip serve` at this address, such as http://127.0.0.1:8080, instead of
+    /// opening a data folder; with a token from FLIP_TOKEN or `--token-file`.
+    #[arg(long, global = true, value_name = "URL")]
+    server: Option<Address>,
+    /// File with the token for `--server`; it goes before FLIP_TOKEN.
+    #[arg(long, global = true, value_name = "FILE")]
+    token_file: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -177,13 +188,16 @@ pub fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(failure) => return failure.report(asks_json),
     };
-    let cli = match Cli::try_parse_from(arguments) {
-        Ok(cli) => cli,
+    let parsed = Cli::command()
+        .try_get_matches_from(arguments)
+        .and_then(|typed| Ok((Cli::from_arg_matches(&typed)?, typed)));
+    let (cli, typed) = match parsed {
+        Ok(parsed) => parsed,
         Err(error) => return failure::of_arguments(&error),
     };
     let json = cli.common.json;
     let _last = telemetry::LastLines;
-    match run(&cli) {
+    match reach::check(&typed).and_then(|()| run(&cli)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(json),
     }
@@ -230,6 +244,12 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 }
 
 impl Common {
+    /// The server to ask, if one is named.
+    fn server(&self) -> Result<Option<Server>, Failure> {
+        let at = |address| Server::at(address, self.token_file.as_deref());
+        self.server.as_ref().map(at).transpose()
+    }
+
     /// Prints a result on stdout: as JSON if requested, else as `text`.
     fn print(
         &self,

@@ -107,11 +107,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         PolicyCommand::List { limit, after } => {
             let page =
                 PageQuery { limit: Some(*limit), after: after.clone(), ..PageQuery::default() };
-            let policies = with_reader(common, async |app| Ok(app.policies(page).await?))?;
+            let policies = with_reader(common, async |lab| Ok(lab.policies(page).await?))?;
             common.print(&policies, || text(&policies.items))
         }
         PolicyCommand::Show { policy } => {
-            let policy = with_reader(common, async |app| Ok(app.policy(policy).await?))?;
+            let policy = with_reader(common, async |lab| Ok(lab.policy(policy).await?))?;
             // JSON for people too: a manifest has no other form.
             common.print(&policy, || serde_json::to_string_pretty(&policy).unwrap_or_default())
         }
@@ -127,7 +127,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         PolicyCommand::Import { file } => {
             let bytes = std::fs::read(file).map_err(|error| file_error("file", file, &error))?;
             let (policy, is_new) =
-                beside(common, async |app| Ok(app.import_policy("file", &bytes).await?))?;
+                beside(common, async |lab| Ok(lab.import_policy("file", &bytes).await?))?;
             common.print(&policy, || match is_new {
                 true => format!("{} imported, {} bytes", policy.id, policy.size_bytes),
                 false => format!("{} was known already", policy.id),
@@ -189,7 +189,7 @@ fn answer_lines(driving: &mut Driving<'_>) -> Result<(), Failure> {
 }
 
 fn bytes_of(common: &Common, policy: &str) -> Result<Vec<u8>, Failure> {
-    with_reader(common, async |app| Ok(app.policy_bytes(policy).await?))
+    with_reader(common, async |lab| Ok(lab.policy_bytes(policy).await?))
 }
 
 fn file_error(field: &str, file: &Path, error: &std::io::Error) -> Failure {

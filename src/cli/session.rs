@@ -1,9 +1,12 @@
-//! A command's hold on the application: opened, watched for Ctrl-C, shut down in order.
+//! A command's hold on the application: opened, watched for Ctrl-C, shut down in order; or that of
+//! a server, with `--server`.
 
 use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
-use crate::app::{App, Options, Who, Workers, acting, give_way_to_the_bench};
+use super::lab::Lab;
+use super::server::Server;
+use crate::app::{App, OpenError, Options, Who, Workers, acting, give_way_to_the_bench};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Runs `work` with the application open for writing and its workers running; closes it whatever
@@ -13,7 +16,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 /// and running the same command again continues from there.
 pub(super) fn with_app<T>(
     common: &Common,
-    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+    work: impl AsyncFnOnce(&Lab) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     with_options(common, Options::default(), work)
 }
@@ -22,7 +25,7 @@ pub(super) fn with_app<T>(
 pub(super) fn with_bench<T>(
     common: &Common,
     bench: &BenchArguments,
-    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+    work: impl AsyncFnOnce(&Lab) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     with_options(common, bench.options()?, work)
 }
@@ -30,7 +33,7 @@ pub(super) fn with_bench<T>(
 /// As [`with_app`], but leaves queued jobs and weighings where they are.
 pub(super) fn with_writer<T>(
     common: &Common,
-    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+    work: impl AsyncFnOnce(&Lab) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     with_options(common, Options::without_workers(), work)
 }
@@ -39,7 +42,7 @@ pub(super) fn with_writer<T>(
 pub(super) fn with_idle_bench<T>(
     common: &Common,
     bench: &BenchArguments,
-    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+    work: impl AsyncFnOnce(&Lab) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
     with_options(common, Options { workers: Workers::None, ..bench.options()? }, work)
 }
@@ -47,19 +50,20 @@ pub(super) fn with_idle_bench<T>(
 fn with_options<T>(
     common: &Common,
     options: Options,
-    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+    work: impl AsyncFnOnce(&Lab) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
+    if let Some(server) = common.server()? {
+        return there(server, work);
+    }
     runtime()?.block_on(async {
         let mut signals = StopSignals::catch()?;
-        let app = App::open(&common.data_dir, options).await?;
+        let app = App::open(&common.data_dir, options).await.map_err(or_ask_it)?;
+        let lab = Lab::from(&app);
         let result = tokio::select! {
-            result = acting(Who::command_line(), work(&app)) => result,
+            result = acting(Who::command_line(), work(&lab)) => result,
             signal = signals.received() => Err(interrupted(signal)),
         };
-        let closed = app.shutdown().await;
-        let result = result?;
-        closed?;
-        Ok(result)
+        closed(&app, result).await
     })
 }
 
@@ -67,29 +71,69 @@ fn with_options<T>(
 /// bench and no job.
 pub(super) fn beside<T>(
     common: &Common,
-    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+    work: impl AsyncFnOnce(&Lab) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
+    if let Some(server) = common.server()? {
+        return there(server, work);
+    }
     runtime()?.block_on(async {
         let app = App::open_beside(&common.data_dir).await?;
-        let result = acting(Who::command_line(), work(&app)).await;
-        let closed = app.shutdown().await;
-        let result = result?;
-        closed?;
-        Ok(result)
+        let result = acting(Who::command_line(), work(&Lab::from(&app))).await;
+        closed(&app, result).await
     })
 }
 
 /// Runs `work` with the application open for reading, even while another process holds the folder.
 pub(super) fn with_reader<T>(
     common: &Common,
-    work: impl AsyncFnOnce(&App) -> Result<T, Failure>,
+    work: impl AsyncFnOnce(&Lab) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
+    if let Some(server) = common.server()? {
+        return there(server, work);
+    }
     runtime()?.block_on(async {
         let app = App::open_to_read(&common.data_dir).await?;
-        let result = work(&app).await?;
-        app.shutdown().await?;
-        Ok(result)
+        let result = work(&Lab::from(&app)).await;
+        closed(&app, result).await
     })
+}
+
+/// Closes the application whatever the result, which is returned.
+async fn closed<T>(app: &App, result: Result<T, Failure>) -> Result<T, Failure> {
+    let closed = app.shutdown().await;
+    let result = result?;
+    closed?;
+    Ok(result)
+}
+
+/// Runs `work` with a server. SIGTERM and Ctrl-C end the command: a dose that it asked for is
+/// stopped, a job goes on.
+pub(super) fn there<T>(
+    server: Server,
+    work: impl AsyncFnOnce(&Lab) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    let runtime = runtime()?;
+    let result = runtime.block_on(async {
+        let mut signals = StopSignals::catch()?;
+        let lab = Lab::There(server.clone());
+        tokio::select! {
+            result = work(&lab) => result,
+            signal = signals.received() => Err(server.leave(signal).await),
+        }
+    });
+    // A request that still waits for its answer does not keep the command.
+    runtime.shutdown_background();
+    result
+}
+
+/// The failure to open a folder; a server that holds it can be asked instead.
+fn or_ask_it(error: OpenError) -> Failure {
+    match error {
+        OpenError::Held(message) => {
+            Failure::NotNow(format!("{message}, as with --server http://ADDRESS"))
+        }
+        error => error.into(),
+    }
 }
 
 /// A runtime for one command.

@@ -8,7 +8,6 @@ use super::table::table;
 use crate::app::{ForgottenShakes, ImportedShakes, KeptSpoonful, ShakesWanted};
 use clap::Subcommand;
 use flip_core::domain::bench::BenchKind;
-use futures::TryStreamExt;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -105,27 +104,25 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             common.print(&json!({ "items": listed(common, filter)? }), String::new)
         }
         Action::Export(filter) => {
-            let csv = with_reader(common, async |app| {
-                Ok(app.shakes_csv(filter.wanted()).await?.try_collect::<String>().await?)
-            })?;
+            let csv = with_reader(common, async |lab| Ok(lab.shakes_csv(filter.wanted()).await?))?;
             common.print(&csv, || csv.trim_end().to_owned())
         }
         Action::Import { file, source, create } => {
             let csv = read("file", file)?;
             let imported =
-                beside(common, async |app| Ok(app.import_shakes(&csv, source, *create).await?))?;
+                beside(common, async |lab| Ok(lab.import_shakes(&csv, source, *create).await?))?;
             common.print(&imported, || imported_text(&imported))
         }
         Action::Forget { powder, lot } => {
             let forgotten =
-                beside(common, async |app| Ok(app.forget_shakes(powder, lot.as_deref()).await?))?;
+                beside(common, async |lab| Ok(lab.forget_shakes(powder, lot.as_deref()).await?))?;
             common.print(&forgotten, || forgotten_text(&forgotten))
         }
     }
 }
 
 fn listed(common: &Common, filter: &Filter) -> Result<Vec<KeptSpoonful>, Failure> {
-    with_reader(common, async |app| Ok(app.kept_spoonfuls(&filter.wanted()).await?))
+    with_reader(common, async |lab| Ok(lab.kept_spoonfuls(&filter.wanted()).await?))
 }
 
 fn list(kept: &[KeptSpoonful]) -> String {

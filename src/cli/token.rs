@@ -81,23 +81,23 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         }
         Action::List => list(common),
         Action::Revoke { id } => {
-            let entry = beside(common, async |app| Ok(app.revoke_token(id).await?))?;
+            let entry = beside(common, async |lab| Ok(lab.revoke_token(id).await?))?;
             common.print(&entry, || format!("token {} ({}) has ended", entry.id, entry.name))
         }
     }
 }
 
 fn create(common: &Common, new: &NewToken) -> Result<(), Failure> {
-    let (entry, token) = beside(common, async |app| Ok(app.make_token(new).await?))?;
+    let (entry, token) = beside(common, async |lab| Ok(lab.make_token(new).await?))?;
     let document = Document { token, entry };
     common.print(&document, || document.token.clone())
 }
 
 fn list(common: &Common) -> Result<(), Failure> {
-    let items = with_reader(common, async |app| {
+    let items = with_reader(common, async |lab| {
         let (mut items, mut page) = (Vec::new(), FIRST_PAGE);
         loop {
-            let found = app.tokens(page).await?;
+            let found = lab.tokens(page).await?;
             items.extend(found.items);
             match found.next {
                 Some(next) => page = crate::app::PageQuery { after: Some(next), ..FIRST_PAGE },

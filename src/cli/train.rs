@@ -4,13 +4,12 @@ use super::Common;
 use super::benches::spoon;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
+use super::lab::Lab;
 use super::session::with_app;
 use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{
-    App, Error, Job, Labels, Order, Preset, Training, TrainingRequest, TrainingResult,
-};
+use crate::app::{Error, Job, Labels, Order, Preset, Training, TrainingRequest, TrainingResult};
 use clap::ValueEnum;
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::Under;
@@ -142,16 +141,16 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             timing,
         })
     };
-    let documents: Vec<Document> = with_app(common, async |app| {
+    let documents: Vec<Document> = with_app(common, async |lab| {
         let (watch, mut jobs, mut documents) = (Watch::new(), Vec::new(), Vec::new());
         for order in &arguments.order {
             for seed in arguments.seeds.as_deref().unwrap_or(&[common.seed]) {
-                jobs.push((begin(app, &watch, request(*order, *seed)).await?, *seed));
+                jobs.push((begin(lab, &watch, request(*order, *seed)).await?, *seed));
             }
         }
         for (job, seed) in jobs {
-            watch.job(app, &job.id, "train").await?;
-            documents.push(document(app.training(&job.id).await?, seed)?);
+            watch.job(lab, &job.id, "train").await?;
+            documents.push(document(lab.training(&job.id).await?, seed)?);
         }
         Ok::<_, Failure>(documents)
     })?;
@@ -164,33 +163,33 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
 /// Trains as a job (or finds the existing job), first calibrating anything not yet calibrated, and
 /// waits for it.
 pub(super) async fn train(
-    app: &App,
+    lab: &Lab,
     watch: &Watch,
     request: TrainingRequest,
 ) -> Result<Training, Failure> {
-    let job = begin(app, watch, request).await?;
-    watch.job(app, &job.id, "train").await?;
-    Ok(app.training(&job.id).await?)
+    let job = begin(lab, watch, request).await?;
+    watch.job(lab, &job.id, "train").await?;
+    Ok(lab.training(&job.id).await?)
 }
 
-async fn begin(app: &App, watch: &Watch, request: TrainingRequest) -> Result<Job, Failure> {
-    let job = match start(app, &request).await {
+async fn begin(lab: &Lab, watch: &Watch, request: TrainingRequest) -> Result<Job, Failure> {
+    let job = match start(lab, &request).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
             watch.say(&format!("{message}: calibrating first"));
             let levels = levels(&request);
             // Bare angles belong to the base, which equals a version under its reference
             // conditions.
             let simulator = request.simulator.as_deref().filter(|_| request.preset == Preset::Flip);
-            calibrate(app, watch, &levels, None, simulator, request.seed.unwrap_or(1)).await?;
-            start(app, &request).await?
+            calibrate(lab, watch, &levels, None, simulator, request.seed.unwrap_or(1)).await?;
+            start(lab, &request).await?
         }
         started => started?,
     };
     Ok(job)
 }
 
-async fn start(app: &App, request: &TrainingRequest) -> Result<Job, Error> {
-    Ok(app.start_training(request.clone()).await?.0)
+async fn start(lab: &Lab, request: &TrainingRequest) -> Result<Job, Error> {
+    Ok(lab.start_training(request.clone()).await?.0)
 }
 
 fn levels(request: &TrainingRequest) -> Vec<Target> {
@@ -205,9 +204,9 @@ fn levels(request: &TrainingRequest) -> Vec<Target> {
 ///
 /// # Errors
 /// An unknown id is bad input.
-pub(super) async fn require_policy(app: &App, id: Option<&str>) -> Result<(), Failure> {
+pub(super) async fn require_policy(lab: &Lab, id: Option<&str>) -> Result<(), Failure> {
     let Some(id) = id else { return Ok(()) };
-    app.policy(id).await.map(drop).map_err(|error| match error {
+    lab.policy(id).await.map(drop).map_err(|error| match error {
         Error::NotFound { .. } => {
             FieldError::new("policy", format!("there is no policy `{id}`")).into()
         }

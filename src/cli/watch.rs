@@ -2,7 +2,7 @@
 //! Everything goes to stderr.
 
 use super::failure::Failure;
-use crate::app::App;
+use super::lab::{Lab, Look};
 use crate::app::Job;
 use crate::telemetry;
 use flip_core::domain::job::{JobState, seconds_left};
@@ -10,8 +10,8 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-/// How often a job's row is read; a read costs a fraction of a millisecond.
-const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// How often a job is looked at.
+const LOOK: Look = Look { here: Duration::from_millis(200), there_s: 1 };
 /// Interval between progress lines if no bar can be drawn.
 const SAY_EVERY: Duration = Duration::from_secs(15);
 /// Bar positions for a fraction of 1.
@@ -37,10 +37,13 @@ impl Watch {
     ///
     /// # Errors
     /// The job failed or was cancelled: the job's own reason.
-    pub(super) async fn job(&self, app: &App, id: &str, label: &str) -> Result<Job, Failure> {
+    pub(super) async fn job(&self, lab: &Lab, id: &str, label: &str) -> Result<Job, Failure> {
         let mut line = self.line(label);
+        let mut job = lab.job(id).await?;
         loop {
-            let job = app.job(id).await?;
+            if job.state.is_terminal() {
+                lab.has_ended(id);
+            }
             match job.state {
                 JobState::Queued => line.wait(&job.progress.message),
                 JobState::Running => line.show(job.progress.fraction, &job.progress.message),
@@ -54,7 +57,7 @@ impl Watch {
                     return Err(Failure::Failed(anyhow::anyhow!("{label}: {reason}")));
                 }
             }
-            tokio::time::sleep(LOOK_EVERY).await;
+            job = lab.job_later(id, LOOK).await?;
         }
     }
 

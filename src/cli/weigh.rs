@@ -4,14 +4,15 @@ use super::Common;
 use super::benches::BenchArguments;
 use super::calibrate::{Target as CalibrationTarget, calibrate};
 use super::failure::Failure;
+use super::lab::{Lab, Look};
 use super::session::with_bench;
 use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
-use super::weigh_list;
+use super::weigh_list::{self, stands};
 use crate::app::{
-    App, Asked, Error, Labels, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest,
-    Weighing, WeighingRequest,
+    Asked, Error, Labels, MeasuredMass, Target, Tolerance, VialCheck, VialReadyRequest, Weighing,
+    WeighingRequest,
 };
 use crate::telemetry;
 use flip_core::domain::conditions::{Conditions, Under};
@@ -20,8 +21,10 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// How often a weighing's row is polled.
-pub(super) const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// How often a weighing is looked at while its vial may be wanted.
+pub(super) const OFTEN: Look = Look { here: Duration::from_millis(50), there_s: 1 };
+/// How often it is looked at while it moves.
+const SELDOM: Look = Look { there_s: 30, ..OFTEN };
 
 /// Arguments of `flip weigh`.
 #[derive(Debug, clap::Args)]
@@ -125,17 +128,17 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     };
     // A new key: running the command again means another dose.
     let key = uuid::Uuid::now_v7().to_string();
-    let weighing = with_bench(common, &arguments.bench, async |app| {
-        look(app, vial_check).await?;
-        weigh(app, &Watch::new(), request, &key).await
+    let weighing = with_bench(common, &arguments.bench, async |lab| {
+        look(lab, vial_check).await?;
+        weigh(lab, &Watch::new(), request, &key).await
     })?;
     report(common, weighing)
 }
 
 /// Checks that nothing prevents a dose requested now from starting; prints a notice if the vial on
 /// the pan is not empty.
-pub(super) async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure> {
-    let found = app.bench().await?;
+pub(super) async fn look(lab: &Lab, vial_check: VialCheck) -> Result<(), Failure> {
+    let found = lab.bench().await?;
     let in_the_way = |why: String| Err(Failure::Failed(anyhow::anyhow!(why)));
     if let Some(held) = &found.held {
         let advice = "`flip bench resume` lets it go on";
@@ -148,6 +151,10 @@ pub(super) async fn look(app: &App, vial_check: VialCheck) -> Result<(), Failure
         return Ok(());
     }
     if let Some(first) = found.waiting.first() {
+        if lab.is_shared() {
+            telemetry::say(format_args!("flip: weighing {} was asked for before", first.id));
+            return Ok(());
+        }
         let advice = format!("`flip bench vial-ready {}` carries it out", first.id);
         return in_the_way(format!(
             "weighing {} was asked for before and waits for its vial: {advice}",
@@ -212,26 +219,26 @@ pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> Weighi
 /// Commits the intent (or finds the one created with `key` before), first calibrating the powder if
 /// necessary, and waits until the bench has carried it out.
 pub(super) async fn weigh(
-    app: &App,
+    lab: &Lab,
     watch: &Watch,
     request: WeighingRequest,
     key: &str,
 ) -> Result<Weighing, Failure> {
-    let (weighing, _) = match app.start_weighing(request.clone(), key).await {
+    let weighing = match lab.start_weighing(request.clone(), key).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {
             let (policy, simulator) = (request.policy.as_deref(), request.simulator.as_deref());
             let seed = request.seed.unwrap_or(1);
-            calibrate_first(app, watch, &message, &request.powder, policy, simulator, seed).await?;
-            app.start_weighing(request, key).await.map_err(in_flags)?
+            calibrate_first(lab, watch, &message, &request.powder, policy, simulator, seed).await?;
+            lab.start_weighing(request, key).await.map_err(in_flags)?
         }
         started => started.map_err(in_flags)?,
     };
-    ended(app, &weighing.id, &VialReadyRequest::default()).await
+    ended(lab, &weighing.id, &VialReadyRequest::default()).await
 }
 
 /// Calibrates a powder that is to be weighed or probed, and says why.
 pub(super) async fn calibrate_first(
-    app: &App,
+    lab: &Lab,
     watch: &Watch,
     why: &str,
     powder: &str,
@@ -239,34 +246,49 @@ pub(super) async fn calibrate_first(
     simulator: Option<&str>,
     seed: u64,
 ) -> Result<(), Failure> {
-    require_policy(app, policy).await?;
+    require_policy(lab, policy).await?;
     watch.say(&format!("{why}: calibrating first"));
     let target = CalibrationTarget::Powder(powder.to_owned());
-    calibrate(app, watch, &[target], None, simulator, seed).await?;
+    calibrate(lab, watch, &[target], None, simulator, seed).await?;
     Ok(())
 }
 
 /// Waits until the dose has ended; if it waits for its vial, confirms that the vial is in.
 pub(super) async fn ended(
-    app: &App,
+    lab: &Lab,
     id: &str,
     vial: &VialReadyRequest,
 ) -> Result<Weighing, Failure> {
-    let mut said = false;
+    let (mut said, mut told) = (false, false);
+    let mut weighing = lab.weighing(id).await?.weighing;
     loop {
-        let weighing = app.weighing(id).await?.weighing;
-        match weighing.state {
+        let look = match weighing.state {
             WeighingState::Done | WeighingState::Aborted | WeighingState::Unknown => {
+                lab.has_ended(id);
                 return Ok(weighing);
             }
             WeighingState::AwaitingVial if !said => {
-                app.vial_ready(id, vial.clone()).await?;
+                lab.vial_ready(id, vial.clone()).await?;
                 said = true;
+                OFTEN
             }
-            _ => {}
-        }
-        tokio::time::sleep(LOOK_EVERY).await;
+            WeighingState::Planned | WeighingState::AwaitingVial => {
+                told = told || tell_why_it_waits(lab, id).await?;
+                OFTEN
+            }
+            WeighingState::Armed | WeighingState::Dosing | WeighingState::Settling => SELDOM,
+        };
+        weighing = lab.weighing_later(id, look).await?.weighing;
     }
+}
+
+/// Says that a server's bench starts nothing, if that is why; the weighing keeps its place meanwhile.
+async fn tell_why_it_waits(lab: &Lab, id: &str) -> Result<bool, Failure> {
+    let why = if lab.is_shared() { stands(lab).await? } else { None };
+    if let Some(why) = &why {
+        telemetry::say(format_args!("flip: weighing {id} waits, because {why}"));
+    }
+    Ok(why.is_some())
 }
 
 /// The refusal in terms of the flags: `target.value` is `--target-mg` here.

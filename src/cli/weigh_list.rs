@@ -5,12 +5,13 @@
 
 use super::Common;
 use super::failure::Failure;
+use super::lab::Lab;
 use super::measurements::read;
 use super::session::with_bench;
 use super::table::table;
-use super::weigh::{Arguments, LOOK_EVERY};
+use super::weigh::{Arguments, OFTEN};
 use crate::app::{
-    App, Asked, DoseListRequest, Labels, Tolerance, VialCheck, VialReadyRequest, Weighing,
+    Asked, DoseListRequest, Labels, Tolerance, VialCheck, VialReadyRequest, Weighing,
 };
 use crate::telemetry;
 use flip_core::domain::FieldError;
@@ -52,20 +53,20 @@ pub(super) fn run(common: &Common, arguments: &Arguments, file: &Path) -> Result
     let request = request(arguments, &name, read("list", file)?);
     let table = request.table.as_deref().unwrap_or_default();
     let key = format!("flip-weigh-{}", hex::encode(Sha256::digest(format!("{name}\n{table}"))));
-    let (doses, stopped) = with_bench(common, &arguments.bench, async |app| {
-        let exchanges = app.bench().await?.exchanges_vials == Some(true);
+    let (doses, stopped) = with_bench(common, &arguments.bench, async |lab| {
+        let exchanges = lab.bench().await?.exchanges_vials == Some(true);
         if !exchanges && !std::io::stdin().is_terminal() {
             let advice = "someone has to change the vials of this bench: run it in a terminal, or send the list to `flip serve` and confirm each vial on the page";
             return Err(FieldError::new("list", advice).into());
         }
-        let (list, before) = app.start_dose_list(request, &key).await?;
+        let (list, before) = lab.start_dose_list(request, &key).await?;
         if before {
             telemetry::say(format_args!(
                 "flip: list `{name}` was begun before and goes on; with another --name it is weighed anew"
             ));
         }
         let ids: Vec<String> = list.doses.into_iter().filter_map(|dose| dose.weighing).collect();
-        weighed(app, &ids).await
+        weighed(lab, &ids).await
     })?;
     let document = Document { name, doses };
     common.print(&document, || text(&document.doses))?;
@@ -90,11 +91,11 @@ fn request(arguments: &Arguments, name: &str, table: String) -> DoseListRequest 
 }
 
 /// The doses once all have ended, or as they are once the bench stands, and why it stands.
-async fn weighed(app: &App, ids: &[String]) -> Result<(Vec<Dose>, Option<String>), Failure> {
+async fn weighed(lab: &Lab, ids: &[String]) -> Result<(Vec<Dose>, Option<String>), Failure> {
     let mut stopped = None;
     for (k, id) in ids.iter().enumerate() {
         let place = format!("dose {} of {}", k + 1, ids.len());
-        stopped = ended(app, id, &place).await?;
+        stopped = ended(lab, id, &place).await?;
         if let Some(why) = &mut stopped {
             why.push_str(&format!(
                 "; {} of {} doses wait: the same command again goes on with them",
@@ -106,20 +107,21 @@ async fn weighed(app: &App, ids: &[String]) -> Result<(Vec<Dose>, Option<String>
     }
     let mut doses = Vec::new();
     for id in ids {
-        doses.push(Dose::of(app.weighing(id).await?.weighing));
+        doses.push(Dose::of(lab.weighing(id).await?.weighing));
     }
     Ok((doses, stopped))
 }
 
 /// Waits until a dose has ended; asks for its vial if the bench waits for it. Returns why it cannot
 /// go on.
-async fn ended(app: &App, id: &str, place: &str) -> Result<Option<String>, Failure> {
+async fn ended(lab: &Lab, id: &str, place: &str) -> Result<Option<String>, Failure> {
     let mut asked = false;
+    let mut weighing = lab.weighing(id).await?.weighing;
     loop {
-        let weighing = app.weighing(id).await?.weighing;
         match weighing.state {
             WeighingState::Done => {
                 telemetry::say(format_args!("{place}: {}", line(&weighing)));
+                lab.has_ended(id);
                 return Ok(None);
             }
             WeighingState::Aborted | WeighingState::Unknown => {
@@ -127,24 +129,25 @@ async fn ended(app: &App, id: &str, place: &str) -> Result<Option<String>, Failu
                 // The bench is latched if something has to be looked at; a stopped dose latches nothing.
             }
             WeighingState::AwaitingVial if !asked => {
-                vial_is_in(app, &weighing, place).await?;
+                vial_is_in(lab, &weighing, place).await?;
                 asked = true;
             }
             _ => {}
         }
-        if let Some(why) = stands(app).await? {
+        if let Some(why) = stands(lab).await? {
             return Ok(Some(why));
         }
         if weighing.outcome.is_some() {
+            lab.has_ended(id);
             return Ok(None);
         }
-        tokio::time::sleep(LOOK_EVERY).await;
+        weighing = lab.weighing_later(id, OFTEN).await?.weighing;
     }
 }
 
 /// Why the bench starts nothing.
-async fn stands(app: &App) -> Result<Option<String>, Failure> {
-    let bench = app.bench().await?;
+pub(super) async fn stands(lab: &Lab) -> Result<Option<String>, Failure> {
+    let bench = lab.bench().await?;
     let latched = bench.latch.map(|it| {
         format!("the bench is latched: {}. Look at it, then `flip bench clear`", it.reason)
     });
@@ -155,7 +158,7 @@ async fn stands(app: &App) -> Result<Option<String>, Failure> {
 }
 
 /// Asks at the terminal for the vial of a dose.
-async fn vial_is_in(app: &App, weighing: &Weighing, place: &str) -> Result<(), Failure> {
+async fn vial_is_in(lab: &Lab, weighing: &Weighing, place: &str) -> Result<(), Failure> {
     let asked = &weighing.asked;
     let vial = asked.vial.as_ref().map_or("an empty vial".to_owned(), |it| format!("vial {it}"));
     let position = asked.position.as_ref().map_or_else(String::new, |it| format!(" (from {it})"));
@@ -170,7 +173,7 @@ async fn vial_is_in(app: &App, weighing: &Weighing, place: &str) -> Result<(), F
         _ => return Err(Failure::NotNow("nobody confirmed the vial; the doses wait".to_owned())),
     }
     let ready = VialReadyRequest { by: asked.operator.clone(), vial: asked.vial.clone() };
-    app.vial_ready(&weighing.id, ready).await?;
+    lab.vial_ready(&weighing.id, ready).await?;
     Ok(())
 }
 

@@ -46,7 +46,7 @@ fn help_lists_every_command_and_every_command_has_help() {
         let help = flip(folder.path(), &[name, "--help"]);
         expect_status(&help, 0);
         let text = String::from_utf8(help.stdout).unwrap();
-        for flag in ["--data-dir", "--seed", "--json"] {
+        for flag in ["--data-dir", "--seed", "--json", "--server"] {
             assert!(text.contains(flag), "{name} --help does not name {flag}");
         }
     }

@@ -14,6 +14,7 @@ mod measurements;
 mod policy;
 mod repose;
 mod serve;
+mod server;
 mod shakes;
 mod token;
 mod train;

@@ -1,54 +1,7 @@
 //! `flip serve`, and commands on the folder that it holds.
 
-use crate::harness::{command, document, expect_status, flip, stderr};
+use crate::harness::{Service, document, expect_status, flip, stderr};
 use serde_json::Value;
-use std::io::{BufRead, BufReader};
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
-
-/// A running `flip serve`, killed when the test ends.
-struct Service {
-    process: Child,
-    document: Value,
-}
-
-impl Service {
-    fn start(data_dir: &Path) -> Self {
-        let mut command = command(data_dir, &["serve", "--listen", "127.0.0.1:0", "--json"]);
-        let mut process = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut text = String::new();
-        // The document is printed once the service listens, and ends with the brace in the first
-        // column.
-        for line in BufReader::new(process.stdout.take().unwrap()).lines() {
-            let line = line.unwrap();
-            text.push_str(&line);
-            if line == "}" {
-                break;
-            }
-        }
-        let document = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}: {text:?}"));
-        Self { process, document }
-    }
-
-    fn address(&self) -> String {
-        self.document["url"].as_str().unwrap().trim_start_matches("http://").to_owned()
-    }
-
-    /// Sends SIGTERM, as systemd and Docker do, and returns its exit status.
-    fn terminate(mut self) -> Option<i32> {
-        let kill = format!("kill -TERM {}", self.process.id());
-        assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
-        self.process.wait().unwrap().code()
-    }
-}
-
-impl Drop for Service {
-    fn drop(&mut self) {
-        // Already ended in most tests; then there is nothing to kill.
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
 
 #[test]
 fn while_a_server_holds_the_database_writers_exit_2_and_readers_read() {
@@ -65,6 +18,8 @@ fn while_a_server_holds_the_database_writers_exit_2_and_readers_read() {
             stderr(&output)
         );
     }
+    let refused = flip(folder.path(), &["calibrate", "--powder", "salt"]);
+    assert!(stderr(&refused).contains("--server http://ADDRESS"), "{}", stderr(&refused));
     let jobs = flip(folder.path(), &["jobs", "--json"]);
     expect_status(&jobs, 0);
     assert!(document(&jobs)["items"].is_array());

@@ -48,8 +48,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let document = Document { bench, report };
     common.print(&document, || text(&document.report))?;
     if arguments.keep {
-        with_writer(common, async |app| {
-            app.keep_conformance(&document).await?;
+        with_writer(common, async |lab| {
+            lab.here()?.keep_conformance(&document).await?;
             Ok(())
         })?;
     }

@@ -50,8 +50,8 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let looked = Looked::by(&arguments.by, arguments.spoon_empty, false)?;
     let Arguments { amplitudes_mm, repeats, .. } = arguments.clone();
     let plan = Plan { amplitudes_mm, repeats, seed: common.seed }.checked()?;
-    let found = with_writer(common, async |app| {
-        if let Some(latch) = app.bench().await?.latch {
+    let found = with_writer(common, async |lab| {
+        if let Some(latch) = lab.bench().await?.latch {
             return Err(Failure::NotNow(format!(
                 "the bench is latched: {}; `flip bench clear` it first",
                 latch.reason
@@ -64,7 +64,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             calibrate(&file, plan, &looked, &stop, &Tap::none())
         });
         let found = shaking.await.map_err(anyhow::Error::from)?.map_err(failure)?;
-        app.keep_shakes(&found.calibration).await?;
+        lab.here()?.keep_shakes(&found.calibration).await?;
         Ok(found)
     })?;
     common.print(&found, || text(&found))

@@ -52,7 +52,7 @@ pub(in super::super) fn reserve(
 ) -> Result<(), Failure> {
     let ReserveArguments { owner, seconds, id } = arguments;
     let request = ReservationRequest { owner: owner.clone(), seconds: *seconds, id: id.clone() };
-    let reserved = with_writer(common, async |app| Ok(app.reserve_bench(request).await?))?;
+    let reserved = with_writer(common, async |lab| Ok(lab.reserve_bench(request).await?))?;
     common.print(&reserved, || {
         format!("{} has the bench until {}: {}", reserved.owner, reserved.until, reserved.id)
     })
@@ -63,10 +63,7 @@ pub(in super::super) fn release(
     common: &Common,
     arguments: &ReleaseArguments,
 ) -> Result<(), Failure> {
-    let found = with_writer(common, async |app| {
-        app.release_bench(&arguments.id).await?;
-        Ok(app.bench().await?)
-    })?;
+    let found = with_writer(common, async |lab| Ok(lab.release_bench(&arguments.id).await?))?;
     common.print(&found, || "nobody has the bench for himself any more".to_owned())
 }
 
@@ -77,6 +74,6 @@ pub(in super::super) fn vial_ready(
 ) -> Result<(), Failure> {
     let VialReadyArguments { id, by, vial, bench } = arguments;
     let said = VialReadyRequest { by: by.clone(), vial: vial.clone() };
-    let weighing = with_bench(common, bench, async |app| ended(app, id, &said).await)?;
+    let weighing = with_bench(common, bench, async |lab| ended(lab, id, &said).await)?;
     report(common, weighing)
 }

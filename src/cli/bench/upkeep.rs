@@ -55,7 +55,7 @@ pub(in super::super) struct RepeatabilityArguments {
 
 /// Prints the state of the bench and whether it may be used.
 pub(in super::super) fn status(common: &Common) -> Result<(), Failure> {
-    let found = with_reader(common, async |app| Ok(app.bench().await?))?;
+    let found = with_reader(common, async |lab| Ok(lab.bench().await?))?;
     common.print(&found, || text(&found))
 }
 
@@ -64,7 +64,7 @@ pub(in super::super) fn clear(common: &Common, arguments: &ClearArguments) -> Re
     let ClearArguments { by, note, looked, vial_ready, resume, bench } = arguments;
     let (looked, vial_ready, resume) = (*looked, *vial_ready, *resume);
     let request = ClearRequest { by: by.clone(), note: note.clone(), looked, vial_ready, resume };
-    let found = with_idle_bench(common, bench, async |app| Ok(app.clear_bench(request).await?))?;
+    let found = with_idle_bench(common, bench, async |lab| Ok(lab.clear_bench(request).await?))?;
     common.print(&found, || text(&found))
 }
 
@@ -74,7 +74,7 @@ pub(in super::super) fn resume(
     arguments: &ResumeArguments,
 ) -> Result<(), Failure> {
     let request = ResumeRequest { by: arguments.by.clone(), note: arguments.note.clone() };
-    let found = with_writer(common, async |app| Ok(app.resume_bench(request).await?))?;
+    let found = with_writer(common, async |lab| Ok(lab.resume_bench(request).await?))?;
     common.print(&found, || text(&found))
 }
 
@@ -85,7 +85,7 @@ pub(in super::super) fn repeatability(
 ) -> Result<(), Failure> {
     let RepeatabilityArguments { readings_mg, readability_mg } = arguments.clone();
     let request = RepeatabilityRequest { readings_mg, readability_mg };
-    let found = with_writer(common, async |app| Ok(app.check_repeatability(request).await?))?;
+    let found = with_writer(common, async |lab| Ok(lab.check_repeatability(request).await?))?;
     common.print(&found, || {
         format!(
             "SD {:.3} mg over {} weighings\nmay weigh from {:.0} mg at 0.1 %, from {:.0} mg at 1 %",

@@ -1,0 +1,65 @@
+//! The bench.
+
+use super::super::server::Request;
+use super::Lab;
+use crate::app::{
+    BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest, Reservation,
+    ReservationRequest, Result, ResumeRequest,
+};
+
+impl Lab {
+    pub(in super::super) async fn bench(&self) -> Result<BenchStatus> {
+        match self {
+            Self::Here(app) => app.bench().await,
+            Self::There(server) => server.get(&["bench"]).await,
+        }
+    }
+
+    pub(in super::super) async fn clear_bench(&self, request: ClearRequest) -> Result<BenchStatus> {
+        match self {
+            Self::Here(app) => app.clear_bench(request).await,
+            Self::There(server) => server.post(&["bench", "clear"], &request).await,
+        }
+    }
+
+    pub(in super::super) async fn resume_bench(
+        &self,
+        request: ResumeRequest,
+    ) -> Result<BenchStatus> {
+        match self {
+            Self::Here(app) => app.resume_bench(request).await,
+            Self::There(server) => server.post(&["bench", "resume"], &request).await,
+        }
+    }
+
+    pub(in super::super) async fn check_repeatability(
+        &self,
+        request: RepeatabilityRequest,
+    ) -> Result<Repeatability> {
+        match self {
+            Self::Here(app) => app.check_repeatability(request).await,
+            Self::There(server) => server.post(&["bench", "repeatability"], &request).await,
+        }
+    }
+
+    pub(in super::super) async fn reserve_bench(
+        &self,
+        request: ReservationRequest,
+    ) -> Result<Reservation> {
+        match self {
+            Self::Here(app) => app.reserve_bench(request).await,
+            Self::There(server) => server.post(&["bench", "reservation"], &request).await,
+        }
+    }
+
+    /// Releases the bench, and returns it.
+    pub(in super::super) async fn release_bench(&self, id: &str) -> Result<BenchStatus> {
+        match self {
+            Self::Here(app) => {
+                app.release_bench(id).await?;
+                app.bench().await
+            }
+            Self::There(server) => server.ask(Request::delete(&["bench", "reservation", id])).await,
+        }
+    }
+}
