@@ -40,7 +40,7 @@ test-python: setup
 	FLIP_PYTHON=1 python3 .ci/tests.py clients
 
 laws: setup
-	cargo test --locked --test physics -- --include-ignored
+	FLIP_LAWS=1 cargo test --locked --test physics
 
 # What cargo cannot fetch by itself: libtorch (checked by SHA-256), and the built page and documentation, which the binary embeds.
 setup: need .libtorch/build-version web web/docs-dist/index.html

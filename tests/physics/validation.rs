@@ -1,11 +1,19 @@
 //! The validation suite, as `flip validate` runs it: every law holds, or is missed as documented.
 //!
-//! Laws that take minutes of a core are ignored here and run by `make laws`: their numbers can
-//! change only with the simulator, and recorded heaps and doses, which every run compares bit by
+//! Laws that take minutes of a core are run by `make laws` alone: their numbers can change only with
+//! the simulator, and recorded heaps and doses, which every run compares bit by
 //! bit, tell when it does.
 
 use flip_sim::validate::{Check, Suite, experiments};
 use rayon::prelude::*;
+
+/// As [`expect`], of experiments that take minutes of a core.
+fn expect_if_asked(names: &[&str]) {
+    match std::env::var_os("FLIP_LAWS") {
+        Some(_) => expect(names),
+        None => println!("skipped: {names:?} take minutes, and are run by `make laws`"),
+    }
+}
 
 /// Runs the named experiments and expects every check to be accounted for.
 fn expect(names: &[&str]) {
@@ -42,9 +50,8 @@ fn silos_empty_and_bear_load_as_beverloo_and_janssen_say() {
 }
 
 #[test]
-#[ignore = "minutes of a core: make laws"]
 fn tall_released_columns_spread_like_sand() {
-    expect(&["collapse_tall"]);
+    expect_if_asked(&["collapse_tall"]);
 }
 
 #[test]
@@ -68,9 +75,8 @@ fn the_angle_of_repose_has_converged_in_the_substep() {
 }
 
 #[test]
-#[ignore = "minutes of a core: make laws"]
 fn the_angle_of_repose_belongs_to_the_powder() {
-    expect(&["repose_size", "repose_funnel"]);
+    expect_if_asked(&["repose_size", "repose_funnel"]);
 }
 
 #[test]
@@ -84,9 +90,8 @@ fn a_heap_rests_and_a_tilted_bed_flows_when_it_should() {
 }
 
 #[test]
-#[ignore = "minutes of a core: make laws"]
 fn a_dose_depends_on_the_substep_by_no_more_than_is_documented() {
-    expect(&["dose_free_flowing", "dose_frictional"]);
+    expect_if_asked(&["dose_free_flowing", "dose_frictional"]);
 }
 
 #[test]

@@ -46,7 +46,7 @@ export async function startService(...more) {
 
   // It says where it listens, and the token of the first start, as one JSON document.
   for (let k = 0; !said.includes('}'); k++) {
-    if (k > 200 || child.exitCode !== null) {
+    if (k > 600 || child.exitCode !== null) {
       await stop()
       throw new Error(`flip serve does not begin\n${log}`)
     }
