@@ -97,11 +97,7 @@ fn every_command_asks_a_server_or_says_why_not() {
     leaves(&flip::cli::command(), "", &mut all);
     for leaf in &all {
         let is_it = |line: &&str| *line == leaf || line.starts_with(&format!("{leaf} "));
-<<<<<<< HEAD
-        assert!(THERE.iter().chain(&HERE).any(|line| is_it(line)), "`flip {leaf}`: here or there?");
-=======
         assert!(THERE.iter().chain(&HERE).any(is_it), "`flip {leaf}`: here or there?");
->>>>>>> remote
     }
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("file.csv");
