@@ -225,9 +225,9 @@ async fn cancel_all_ends_what_was_begun_here_and_nothing_else() {
     let dose = serde_json::json!({
         "powder": "salt", "target": { "value": 15.0, "unit": "mg" }, "tolerance": { "lower": 1, "upper": 1, "unit": "mg" },
     });
-    let moving: serde_json::Value = service.weigh("of REST", &dose).await.json().await.unwrap();
+    let moving: serde_json::Value = service.weigh("of-REST", &dose).await.json().await.unwrap();
     service.until_pouring().await;
-    let ours = begin(&service, &channel, "of SiLA").await.unwrap();
+    let ours = begin(&service, &channel, "of-SiLA").await.unwrap();
     let mut cancel = CancelControllerClient::new(channel.clone());
     cancel.cancel_all(as_operator(&service, CancelAllParameters {}).await).await.unwrap();
     let status = PowderWeighingClient::new(channel).dose_powder_result(execution(&ours)).await;
