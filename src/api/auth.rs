@@ -16,6 +16,7 @@
 //! or, in gRPC, with [`require`] and [`require_clearer`]. The caller is available to everything the
 //! request does ([`acting`]), so that records can name them.
 
+use super::edge::carried_out;
 use super::listen::is_loopback_name;
 use super::problem::Problem;
 use crate::app::{App, Holder, Role, Timestamp, Who, acting};
@@ -173,7 +174,7 @@ pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next
         Ok(caller) => {
             let who = caller.who();
             request.extensions_mut().insert(caller);
-            acting(who, next.run(request)).await
+            acting(who, carried_out(request, next)).await
         }
         Err(problem) => problem.into_response(),
     }
@@ -183,7 +184,7 @@ pub async fn identify(State(gate): State<Gate>, mut request: Request, next: Next
 /// that handles it, which may differ from the one that identified the caller.
 pub async fn on_behalf(request: Request, next: Next) -> Response {
     let who = Caller::of(request.extensions()).who();
-    acting(who, next.run(request)).await
+    acting(who, carried_out(request, next)).await
 }
 
 /// The holder of the token in an `Authorization` header.

@@ -32,7 +32,7 @@ const CORRELATION: [HeaderName; 2] =
 const CORRELATION_MAX: usize = 200;
 
 /// The layer described in the module documentation.
-pub async fn edge(request: Request, next: Next) -> Response {
+pub async fn edge(mut request: Request, next: Next) -> Response {
     let id = uuid::Uuid::now_v7().to_string();
     let grpc = grpc::is_grpc(request.headers());
     let method = request.method().clone();
@@ -47,14 +47,13 @@ pub async fn edge(request: Request, next: Next) -> Response {
     let correlation = correlation_id(request.headers());
     if let Ok(Some(correlation)) = &correlation {
         span.record("correlation_id", correlation);
+        request.extensions_mut().insert(CorrelationId(correlation.clone()));
     }
 
     let started = Instant::now();
-    let mut response = match correlation.clone() {
-        Ok(correlation) => {
-            correlated(correlation, next.run(request)).instrument(span.clone()).await
-        }
-        Err(refused) => Problem::from(refused).into_response(),
+    let mut response = match &correlation {
+        Ok(_) => next.run(request).instrument(span.clone()).await,
+        Err(refused) => Problem::from(refused.clone()).into_response(),
     };
     // The route rather than the path: ids would create a metric per weighing.
     let route = response.extensions_mut().remove::<MatchedPath>().or(own_route);
@@ -75,6 +74,16 @@ pub async fn edge(request: Request, next: Next) -> Response {
     metrics::counter!("flip_requests_total", &labels).increment(1);
     metrics::histogram!("flip_request_seconds", &labels).record(seconds);
     response
+}
+
+/// The caller's own id of a request, on its way through the layers: work may go on in another task.
+#[derive(Clone)]
+struct CorrelationId(String);
+
+/// Carries a request out, which its caller may know by an id.
+pub async fn carried_out(request: Request, next: Next) -> Response {
+    let id = request.extensions().get::<CorrelationId>().map(|id| id.0.clone());
+    correlated(id, next.run(request)).await
 }
 
 /// The caller's own id of a request.

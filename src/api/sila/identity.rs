@@ -17,6 +17,7 @@ use super::proto::sila2::org::silastandard::core::authorizationservice::v1::Meta
 use super::proto::sila2::org::silastandard::core::lockcontroller::v1::MetadataLockIdentifier;
 use super::standard::framework_error::ErrorType;
 use crate::api::auth::{self, Caller};
+use crate::api::edge::carried_out;
 use crate::api::front::Connection;
 use crate::api::listen::is_loopback_name;
 use crate::app::{App, Holder, acting};
@@ -129,7 +130,7 @@ pub async fn identify(State(gate): State<Gate>, request: Request, next: Next) ->
             }
             let who = caller.who();
             request.extensions_mut().insert(caller);
-            acting(who, next.run(request)).await
+            acting(who, carried_out(request, next)).await
         }
         Err(status) => status.into_http(),
     }
