@@ -19,6 +19,23 @@ after(async () => {
 })
 
 
+describe('a bench of which nothing has been heard yet', () => {
+  for (const view of ['', 'wall']) {
+    it(`is not called ready, on ${view || 'the console'}`, async () => {
+      const page = await chromium.tab()
+      let answer
+      const asked = new Promise((go) => (answer = go))
+      await page.route('**/v1/bench', async (route) => { await asked; await route.continue() })
+      await page.goto(`${service.url}/#/${view}`)
+      await page.getByRole('heading', { name: 'Loading…', level: 1 }).waitFor()
+      assert.equal(await page.getByText(/^Ready$|No doses are waiting|can weigh/).count(), 0)
+      answer()
+      await page.getByRole('heading', { name: 'Ready', level: 1 }).waitFor()
+      await page.close()
+    })
+  }
+})
+
 describe('a first visit', () => {
   it('measures, calibrates and weighs, from the keyboard', async () => {
     const page = await chromium.tab()
