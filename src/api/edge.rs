@@ -3,7 +3,7 @@
 
 use super::grpc;
 use super::problem::Problem;
-use crate::app::{FieldError, correlated};
+use crate::app::correlated;
 use axum::extract::MatchedPath;
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, header};
@@ -28,8 +28,6 @@ const HARDENING: [(HeaderName, &str); 5] = [
 /// Headers in which callers send their own id of a request, the first one first.
 const CORRELATION: [HeaderName; 2] =
     [HeaderName::from_static("x-correlation-id"), HeaderName::from_static("x-request-id")];
-/// Longest id that is kept.
-const CORRELATION_MAX: usize = 200;
 
 /// The layer described in the module documentation.
 pub async fn edge(mut request: Request, next: Next) -> Response {
@@ -45,24 +43,21 @@ pub async fn edge(mut request: Request, next: Next) -> Response {
         correlation_id = tracing::field::Empty
     );
     let correlation = correlation_id(request.headers());
-    if let Ok(Some(correlation)) = &correlation {
-        span.record("correlation_id", correlation);
-        request.extensions_mut().insert(CorrelationId(correlation.clone()));
+    if let Some(correlation) = &correlation {
+        let id = String::from_utf8_lossy(correlation.as_bytes()).into_owned();
+        span.record("correlation_id", &id);
+        request.extensions_mut().insert(CorrelationId(id));
     }
 
     let started = Instant::now();
-    let mut response = match &correlation {
-        Ok(_) => next.run(request).instrument(span.clone()).await,
-        Err(refused) => Problem::from(refused.clone()).into_response(),
-    };
+    let mut response = next.run(request).instrument(span.clone()).await;
     // The route rather than the path: ids would create a metric per weighing.
     let route = response.extensions_mut().remove::<MatchedPath>().or(own_route);
     let route = route.as_ref().map_or("none", MatchedPath::as_str).to_owned();
     span.record("route", route.as_str());
     let mut response = in_callers_protocol(response, grpc, &id);
     harden(response.headers_mut(), &id);
-    if let Ok(Some(Ok(correlation))) = correlation.map(|it| it.map(|it| HeaderValue::from_str(&it)))
-    {
+    if let Some(correlation) = correlation {
         response.headers_mut().insert(&CORRELATION[0], correlation);
     }
 
@@ -86,23 +81,10 @@ pub async fn carried_out(request: Request, next: Next) -> Response {
     correlated(id, next.run(request)).await
 }
 
-/// The caller's own id of a request.
-fn correlation_id(headers: &HeaderMap) -> Result<Option<String>, FieldError> {
-    let Some((name, value)) =
-        CORRELATION.into_iter().find_map(|name| headers.get(&name).map(|value| (name, value)))
-    else {
-        return Ok(None);
-    };
-    let visible = |text: &&str| text.bytes().all(|byte| byte.is_ascii_graphic());
-    let kept = value.to_str().ok().filter(visible).filter(|text| text.len() <= CORRELATION_MAX);
-    match kept {
-        Some("") => Ok(None),
-        Some(text) => Ok(Some(text.to_owned())),
-        None => {
-            let advice = format!("must be at most {CORRELATION_MAX} visible ASCII characters");
-            Err(FieldError::new(name.as_str(), advice))
-        }
-    }
+/// The caller's own id of a request, as it was sent: only what would keep it refuses one, so that
+/// no header keeps a stop from being carried out.
+fn correlation_id(headers: &HeaderMap) -> Option<HeaderValue> {
+    CORRELATION.iter().find_map(|name| headers.get(name)).filter(|id| !id.is_empty()).cloned()
 }
 
 /// Label under which a method is counted and logged: callers make up methods, and every label is

@@ -84,6 +84,11 @@ async fn the_callers_own_id_comes_back_and_finds_what_it_began() {
     let refused = begin("k2", "x-correlation-id", &"r".repeat(201)).await;
     assert_eq!(fields(&problem(refused, 400).await), ["x-correlation-id"]);
     assert_eq!(ids(&service, "/v1/weighings").await.len(), 1, "nothing was begun");
+    // A stop is carried out whatever header comes with it.
+    let stop = service.request("POST", "/v1/bench/stop").json(&json!({}));
+    let stop = stop.bearer_auth(service.token(Role::Operator).await);
+    let stopped = stop.header("x-correlation-id", "r ".repeat(201)).send().await.unwrap();
+    assert!(stopped.status().is_success(), "{}", stopped.status());
 }
 
 #[tokio::test]
