@@ -71,8 +71,8 @@ def outputs(folder):
             sys.exit(f"flip {' '.join(words)}: {done.stderr}")
         return done.stdout if read is None else pathlib.Path(read).read_text()
 
-    yield "repose", flip("repose", "--seed", "1", "--json")
-    yield "repose_mechanism", flip("repose", "--seed", "2", "--extension", "size_spread=0.2", "--json")
+    yield "repose", flip("heap", "--seed", "1", "--json")
+    yield "repose_mechanism", flip("heap", "--seed", "2", "--extension", "size_spread=0.2", "--json")
     yield "observe", flip("observe", "shake_mass:pitch_deg=30,shake_mm=4", "flow_time:mass_g=20,orifice_mm=2.54", "--json")
     yield "calibrate", flip("calibrate", "--powder", "sand", "--method", "sequential", "--sets", "2", "--seed", "3", "--json")
     yield "calibrate_paper", flip("calibrate", "--powder", "salt", "--method", "paper", "--sets", "1", "--seed", "1", "--json")

@@ -32,7 +32,7 @@ try() {
     inside "$2" "$3" '
         flip --version
         flip doctor --data-dir /data/flip
-        flip repose --seed 1 --data-dir /data/flip
+        flip heap --seed 1 --data-dir /data/flip
         flip policy list --data-dir /data/flip > /dev/null
         flip audit verify --data-dir /data/flip
         flip serve --data-dir /data/flip --listen 127.0.0.1:8080 > /dev/null 2>&1 &

@@ -63,10 +63,10 @@ def flip(*arguments):
 
 def box():
     """Lower and upper bound of each parameter by key, in the product's order. Its help is made from the table of bounds."""
-    _, text = flip("repose", "--help")
+    _, text = flip("heap", "--help")
     found = re.findall(r"--([a-z-]+) <X> .*? ([\d.]+) to ([\d.]+)(?: \S+)? \[default", " ".join(text.split()))
     if len(found) != 9:
-        raise RuntimeError(f"`flip repose --help` names {len(found)} parameters, not nine")
+        raise RuntimeError(f"`flip heap --help` names {len(found)} parameters, not nine")
     return {flag.replace("-", "_"): (float(lower), float(upper)) for flag, lower, upper in found}
 
 
@@ -84,14 +84,14 @@ def pour(parameters, seed, heaps, settings):
     """Angles of those of the heaps that have one, degrees, and the simulator's version (none if no heap has an angle)."""
     counts = [f"--{name}={settings[name]}" for name in ("readings", "particles")]
     flags = [f"--{key.replace('_', '-')}={value}" for key, value in parameters.items()]
-    status, text = flip("repose", "--json", f"--seed={seed}", f"--repeats={heaps}", *counts, *flags)
+    status, text = flip("heap", "--json", f"--seed={seed}", f"--repeats={heaps}", *counts, *flags)
     document = json.loads(text)
     if status == 0:
         return [heap["tip_deg"] for heap in document["heaps"]], document["simulator"]
     message = document["error"]["message"]
     # Only this is an answer; a broken installation must not become a table of refusals.
     if not message.startswith("no heap has an angle of repose"):
-        raise RuntimeError(f"flip repose: {message}")
+        raise RuntimeError(f"flip heap: {message}")
     return [], None
 
 

@@ -31,6 +31,7 @@ from ._problems import (
 from ._records import (
     Action,
     Asked,
+    BalanceReading,
     Bench,
     CalibratedSet,
     Event,
@@ -56,6 +57,7 @@ __all__ = [
     "Asked",
     "AsyncClient",
     "AsyncListing",
+    "BalanceReading",
     "Bench",
     "BenchHeldError",
     "CalibratedSet",

@@ -14,7 +14,7 @@ from . import _flow
 from ._flow import Answer, Flow, Follow, Followed, Pause, Request, Retries
 from ._mass import Tolerance
 from ._problems import ConflictError, UnreachableError
-from ._records import ENDED_JOB, Bench, CalibratedSet, Event, Job, Policy, Powder, Record, Weighing
+from ._records import ENDED_JOB, BalanceReading, Bench, CalibratedSet, Event, Job, Policy, Powder, Record, Weighing
 from ._requests import RETRIES, TIMEOUT_S, Settings, asked, part
 from ._sse import Lines
 from ._tables import AsyncListing
@@ -235,6 +235,50 @@ class AsyncClient:
     async def stop_bench(self) -> None:
         """Stops everything that moves. Nothing starts until a person resumes."""
         await self._run(_flow.send(Request("POST", "/v1/bench/stop"), self._retries))
+
+    async def balance(self) -> BalanceReading:
+        """What the balance shows now, outside of a dose; it may not be stable yet.
+
+        Raises:
+            ConflictError: a dose or a pile is being made (`type` ends in `bench-busy`), the bench is simulated and has
+                no balance (`no-balance`), or the balance failed (`balance-failed`).
+        """
+        return BalanceReading.of(await self._run(_flow.get("/v1/bench/balance", self._retries)))
+
+    async def tare_balance(self, *, reservation: str | None = None) -> BalanceReading:
+        """Tares the balance with what is on it, once the reading is stable. Each dose tares again by itself.
+
+        Args:
+            reservation: id of the bench's reservation.
+
+        Returns:
+            What the balance shows afterwards.
+
+        Raises:
+            ConflictError: as :meth:`balance`; or the bench is latched (`bench-latched`) or reserved
+                (`bench-reserved`).
+            UnreachableError: no answer; it may have been tared if `error.sent`.
+        """
+        return await self._to_balance("tare", reservation)
+
+    async def zero_balance(self, *, reservation: str | None = None) -> BalanceReading:
+        """Sets the balance's zero point, with an empty pan: with a load beyond its zero range a balance refuses.
+
+        Args:
+            reservation: id of the bench's reservation.
+
+        Returns:
+            What the balance shows afterwards.
+
+        Raises:
+            ConflictError: as :meth:`tare_balance`.
+            UnreachableError: no answer; it may have been zeroed if `error.sent`.
+        """
+        return await self._to_balance("zero", reservation)
+
+    async def _to_balance(self, what: str, reservation: str | None) -> BalanceReading:
+        body = {} if reservation is None else {"reservation": reservation}
+        return BalanceReading.of(await self._run(_flow.post(f"/v1/bench/balance/{what}", body, self._retries)))
 
     # Powders, calibrations, jobs
 

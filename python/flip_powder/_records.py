@@ -113,6 +113,21 @@ class Reading(Record):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class BalanceReading(Record):
+    """What the balance shows outside of a dose."""
+
+    #: Mass shown, mg: net of what was tared last.
+    mass_mg: float
+    #: The balance's own flag.
+    stable: bool
+    at: datetime.datetime
+    #: Its display step, mg, where known.
+    readability_mg: float | None = None
+    #: How it identified itself at the last dose, if there was one.
+    balance: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Tick(Record):
     """One step of a weighing, and the reading after it."""
 

@@ -13,6 +13,7 @@ const CORRELATION_MAX: usize = 200;
 /// # Errors
 /// `Invalid`: too many or too long, or a key or an id in other characters.
 pub(super) fn written(labels: Labels) -> Result<Labels> {
+    let labels = labels.trimmed();
     let (id, mut faults) = (correlation_id(), labels.faults("labels"));
     let is_kept =
         |id: &String| id.len() <= CORRELATION_MAX && id.bytes().all(|byte| byte.is_ascii_graphic());

@@ -2,6 +2,7 @@
 
 use super::failure::Failure;
 use super::lab::Lab;
+use super::labels::LabelArguments;
 use super::session::with_app;
 use super::shakes::Bench;
 use super::simulator::{SimulatorArguments, words};
@@ -67,6 +68,8 @@ pub(super) struct Arguments {
     /// repeated [default: all nine are searched].
     #[arg(long, value_name = "NAME=VALUE")]
     fix: Vec<String>,
+    #[command(flatten)]
+    labels: LabelArguments,
     #[command(flatten)]
     extended: SimulatorArguments,
     #[command(flatten)]
@@ -217,6 +220,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         .collect::<Result<_, _>>()?;
     let conditions = arguments.extended.conditions()?;
     let fixed = parameters::fixed(&arguments.fix)?;
+    let labels = arguments.labels.all()?;
     let observations = (!typed.is_empty()).then_some(typed);
     let shakes = arguments.shakes.then(|| StoredShakes {
         powder: None,
@@ -242,6 +246,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
                 fixed: fixed.clone(),
                 simulator,
                 conditions,
+                labels: labels.clone(),
                 ..request
             };
             (target, request)

@@ -5,13 +5,14 @@ use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
 use super::lab::{Lab, Look};
+use super::labels::LabelArguments;
 use super::session::{with_bench, with_reader};
 use super::simulator::SimulatorArguments;
 use super::table::table;
 use super::watch::Watch;
 use super::weigh::{calibrate_first, look};
 use crate::app::{
-    CardOfPowder, CharacterisationRequest, Error, Labels, VialCheck, VialReadyRequest, Weighing,
+    CardOfPowder, CharacterisationRequest, Error, VialCheck, VialReadyRequest, Weighing,
 };
 use flip_core::domain::powder_card::{CardCurve, Estimate, PowderCard, StrokeClass};
 use flip_core::domain::weighing::{Outcome, WeighingState};
@@ -51,6 +52,8 @@ pub(super) struct Arguments {
     /// balance is checked for that; if omitted, FLIP pours into whatever is on the pan.
     #[arg(long, value_name = "TEXT")]
     vial: Option<String>,
+    #[command(flatten)]
+    labels: LabelArguments,
     #[command(flatten)]
     extended: SimulatorArguments,
     #[command(flatten)]
@@ -113,7 +116,7 @@ fn request(common: &Common, arguments: &Arguments) -> Result<CharacterisationReq
         vial,
         operator: arguments.operator.clone(),
         reservation: None,
-        labels: Labels::default(),
+        labels: arguments.labels.all()?,
     })
 }
 

@@ -4,6 +4,7 @@
 use super::Common;
 use super::failure::Failure;
 use super::lab::Lab;
+use super::labels::LabelArguments;
 use super::measurements::read;
 use super::session::{with_app, with_reader};
 use super::shakes::Bench;
@@ -11,7 +12,7 @@ use super::table::table;
 use super::watch::Watch;
 use crate::app::{
     CURRENT, ChosenSimulator, ColumnRead, CurrentSimulator, DateOrder, FileRead,
-    InvestigationRequest, Labels, Report, SimulatorVersion, StoredShakes, names, predictions_csv,
+    InvestigationRequest, Report, SimulatorVersion, StoredShakes, names, predictions_csv,
     report_html,
 };
 use anyhow::Context;
@@ -116,6 +117,8 @@ struct CampaignArguments {
     /// Folder for report.html, report.json and predict.csv; created if missing.
     #[arg(long, value_name = "DIR", required = true)]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    labels: LabelArguments,
 }
 
 impl CampaignArguments {
@@ -226,7 +229,7 @@ fn discover(common: &Common, arguments: &CampaignArguments) -> Result<(), Failur
         simulations: Some(arguments.simulations),
         budget_runs: Some(arguments.budget_runs),
         seed: Some(common.seed),
-        labels: Labels::default(),
+        labels: arguments.labels.all()?,
     };
     let report = with_app(common, async |lab| investigate(lab, request, out).await)?;
     let json = serde_json::to_string_pretty(&report)? + "\n";

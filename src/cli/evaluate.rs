@@ -6,6 +6,7 @@ use super::benches::spoon;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::lab::Lab;
+use super::labels::LabelArguments;
 use super::parameters;
 use super::session::with_app;
 use super::simulator::{SimulatorArguments, words};
@@ -14,7 +15,7 @@ use super::train::require_policy;
 use super::watch::Watch;
 use crate::app::{
     Conditions, Error, Evaluation, EvaluationRequest, EvaluationResult, EvaluationRow,
-    EvaluationSummary, Labels,
+    EvaluationSummary,
 };
 use flip_core::domain::conditions::Under;
 use flip_core::domain::powder::{PUBLISHED, PUBLISHED_DOSES_OVERALL_MG, published_mae_mg};
@@ -57,7 +58,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     particles: Option<u32>,
     /// Mechanism absent from all training, with its amplitude, as in `rotation=1`; may be repeated.
-    /// As in `flip repose`.
+    /// As in `flip heap`.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
     /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`).
@@ -70,6 +71,8 @@ pub(super) struct Arguments {
     /// Bench file whose spoon to use [default: FLIP's own spoon].
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
+    #[command(flatten)]
+    labels: LabelArguments,
     #[command(flatten)]
     extended: SimulatorArguments,
 }
@@ -132,7 +135,7 @@ async fn evaluate(
         simulator: arguments.extended.simulator.clone(),
         conditions: arguments.extended.conditions()?,
         seed: Some(common.seed),
-        labels: Labels::default(),
+        labels: arguments.labels.all()?,
     };
     let (job, _) = match lab.start_evaluation(request.clone()).await {
         Err(Error::Conflict { code: "calibration_missing", message }) => {

@@ -1,9 +1,10 @@
-//! `flip export`: every list of a data folder in tables that other programs read.
+//! `flip export`: every list of a data folder, or of a server, in tables that other programs read.
 
 use super::Common;
 use super::failure::Failure;
+use super::server::{Request, Server};
 use super::session::{StopSignals, interrupted, runtime};
-use crate::api::rest::tables::export::{ExportError, Exported, Format, export};
+use crate::api::rest::tables::export::{ExportError, Exported, Folder, Format, Source, export};
 use crate::app::App;
 use crate::telemetry;
 use clap::ValueEnum;
@@ -35,18 +36,44 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         FormatFlag::Csv => Format::Csv,
         FormatFlag::Arrow => Format::Arrow,
     };
+    let out = &arguments.out;
     let exported = runtime()?.block_on(async {
-        let mut signals = StopSignals::catch()?;
+        if let Some(address) = &common.server {
+            let server = Server::at(address, common.token_file.as_deref())?;
+            return written(export(There(server), out, format, told)).await;
+        }
         let app = App::open_to_read(&common.data_dir).await?;
-        let told = |file: &str| telemetry::say(format_args!("{file}"));
-        let result = tokio::select! {
-            result = export(app.clone(), &arguments.out, format, told) => result.map_err(failure),
-            signal = signals.received() => Err(interrupted(signal)),
-        };
+        let exported = written(export(Folder::of(app.clone()), out, format, told)).await;
         app.shutdown().await?;
-        result
+        exported
     })?;
     common.print(&exported, || text(&exported))
+}
+
+/// What was written, unless it is interrupted.
+async fn written(
+    export: impl Future<Output = Result<Exported, ExportError>>,
+) -> Result<Exported, Failure> {
+    let mut signals = StopSignals::catch()?;
+    tokio::select! {
+        exported = export => exported.map_err(failure),
+        signal = signals.received() => Err(interrupted(signal)),
+    }
+}
+
+fn told(file: &str) {
+    telemetry::say(format_args!("{file}"));
+}
+
+/// The lists of a server.
+struct There(Server);
+
+impl Source for There {
+    async fn get(&self, target: &str) -> Result<(u16, Vec<u8>), ExportError> {
+        let answer = self.0.found_or_not(Request::outside(target)).await;
+        let answer = answer.map_err(|error| ExportError::Broken(error.into()))?;
+        Ok((answer.status, answer.body))
+    }
 }
 
 fn failure(error: ExportError) -> Failure {

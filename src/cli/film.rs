@@ -4,10 +4,11 @@
 use super::Common;
 use super::failure::Failure;
 use super::lab::Lab;
+use super::labels::LabelArguments;
 use super::session::with_app;
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{Film, FilmHead, FilmRequest, FilmResult, HeapHead, Labels, StepSeen};
+use crate::app::{Film, FilmHead, FilmRequest, FilmResult, HeapHead, StepSeen};
 use flip_core::domain::FieldError;
 use flip_core::domain::bench::BenchKind;
 use serde::Serialize;
@@ -34,6 +35,8 @@ pub(super) struct Arguments {
     /// File to write, at most 16 MiB; without it only the numbers are printed.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    labels: LabelArguments,
 }
 
 /// The document of `flip film`.
@@ -64,7 +67,8 @@ struct Document {
 
 /// Makes the film, unless it is made already, and writes it.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let Arguments { weighing, spoonful, set, training, episode, out } = arguments;
+    let Arguments { weighing, spoonful, set, training, episode, out, labels } = arguments;
+    let labels = labels.all()?;
     let (film, bytes) = with_app(common, async |lab| {
         let weighing = match (weighing, set, training) {
             (None, None, None) => Some(newest(lab).await?),
@@ -77,7 +81,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             seed: set.as_ref().map(|_| common.seed),
             training: training.clone(),
             episode: *episode,
-            labels: Labels::default(),
+            labels,
         };
         let (job, _) = lab.start_film(request).await?;
         Watch::new().job(lab, &job.id, "film").await?;

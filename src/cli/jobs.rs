@@ -2,17 +2,19 @@
 
 use super::Common;
 use super::failure::Failure;
+use super::labels::label;
 use super::session::with_reader;
 use super::table::table;
 use crate::app::{Job, JobTimes, JobsWanted, PageQuery};
 use clap::ValueEnum;
 use flip_core::domain::job::{JobKind, JobState};
+use flip_core::domain::labels::LabelWanted;
 
 /// Arguments of `flip jobs`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// How long jobs took on this machine, by kind, instead of the list.
-    #[arg(long, conflicts_with_all = ["kind", "state", "after"])]
+    #[arg(long, conflicts_with_all = ["kind", "state", "label", "after"])]
     times: bool,
     /// Only jobs of this kind.
     #[arg(long, value_enum)]
@@ -20,6 +22,9 @@ pub(super) struct Arguments {
     /// Only jobs in this state.
     #[arg(long, value_enum)]
     state: Option<StateFlag>,
+    /// Only jobs with this label, as `plate:A7`.
+    #[arg(long, value_name = "KEY:VALUE", value_parser = label)]
+    label: Option<LabelWanted>,
     /// Maximum number of jobs to list, 1 to 200; newest first.
     #[arg(long, value_name = "N", default_value_t = 50, allow_negative_numbers = true)]
     limit: u32,
@@ -62,7 +67,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     };
     let kind = arguments.kind.map(JobKind::from);
     let state = arguments.state.map(JobState::from);
-    let wanted = JobsWanted { kind, state, label: None };
+    let wanted = JobsWanted { kind, state, label: arguments.label.clone() };
     let jobs = with_reader(common, async |lab| Ok(lab.jobs(wanted, page).await?))?;
     common.print(&jobs, || text(&jobs.items))
 }

@@ -3,6 +3,7 @@
 use super::Common;
 use super::benches::BenchArguments;
 use super::failure::Failure;
+use super::labels::LabelArguments;
 use super::session::with_bench;
 use super::table::table;
 use super::watch::Watch;
@@ -41,6 +42,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     run: Option<u32>,
     #[command(flatten)]
+    labels: LabelArguments,
+    #[command(flatten)]
     bench: BenchArguments,
 }
 
@@ -65,6 +68,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         run: *run,
         procedure,
         rig,
+        labels: arguments.labels.all()?,
         ..ReposeRequest::default()
     };
     let measured = with_bench(common, &arguments.bench, async |lab| {

@@ -23,8 +23,10 @@ mod export;
 mod failure;
 mod film;
 mod health;
+mod heap;
 mod jobs;
 mod lab;
+mod labels;
 mod manual;
 mod measure;
 mod measurements;
@@ -33,7 +35,6 @@ mod oidc;
 mod parameters;
 mod policy;
 mod reach;
-mod repose;
 mod serve;
 mod server;
 mod session;
@@ -116,7 +117,10 @@ enum Command {
     /// heaps of other heights
     Observe(observe::Arguments),
     /// Pour a simulated powder and measure its angle of repose.
-    Repose(repose::Arguments),
+    Heap(heap::Arguments),
+    /// The old name of `flip heap`.
+    #[command(hide = true)]
+    Repose(heap::Arguments),
     /// Check that the simulator obeys the laws of nature.
     Validate(validate::Arguments),
     /// Find simulated powders that pile like a measured one.
@@ -214,7 +218,13 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Demo(arguments) => demo::run(common, arguments),
         Command::Observe(arguments) => observe::run(common, arguments),
         Command::Compare(arguments) => compare::run(common, arguments),
-        Command::Repose(arguments) => repose::run(common, arguments),
+        Command::Heap(arguments) => heap::run(common, arguments),
+        Command::Repose(arguments) => {
+            tracing::warn!(
+                "`flip repose` is now `flip heap`, as it pours a simulated heap: use that name"
+            );
+            heap::run(common, arguments)
+        }
         Command::Validate(arguments) => validate::run(common, arguments),
         Command::Calibrate(arguments) => calibrate::run(common, arguments),
         Command::Measure(arguments) => measure::run(common, arguments),

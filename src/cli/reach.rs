@@ -17,6 +17,7 @@ const HERE: [(&str, &str); 20] = [
     ("serve", "is a server itself"),
     ("demo", "is a server itself"),
     ("observe", COMPUTES),
+    ("heap", COMPUTES),
     ("repose", COMPUTES),
     ("validate", COMPUTES),
     ("policy infer", COMPUTES),
@@ -26,7 +27,6 @@ const HERE: [(&str, &str); 20] = [
     ("bench sim", COMPUTES),
     ("bench bed", COMPUTES),
     ("audit archive", IS_OF_THE_FOLDER),
-    ("export", IS_OF_THE_FOLDER),
     ("backup", IS_OF_THE_FOLDER),
     ("restore", IS_OF_THE_FOLDER),
     ("emulate", "runs devices on this computer"),
@@ -47,7 +47,16 @@ const OWN: [(&str, &str); 5] = [
 
 /// Commands whose `--bench` is what moves; that of others is a filter, or a file with a spoon, which
 /// is sent.
-const MOVES: [&str; 5] = ["weigh", "characterise", "measure", "bench clear", "bench vial-ready"];
+const MOVES: [&str; 8] = [
+    "weigh",
+    "characterise",
+    "measure",
+    "bench clear",
+    "bench vial-ready",
+    "bench read",
+    "bench tare",
+    "bench zero",
+];
 
 /// Why a command, by its words, goes to no server.
 fn here(command: &str) -> Option<&'static str> {

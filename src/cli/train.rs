@@ -5,11 +5,12 @@ use super::benches::spoon;
 use super::calibrate::{Target, calibrate};
 use super::failure::Failure;
 use super::lab::Lab;
+use super::labels::LabelArguments;
 use super::session::with_app;
 use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{Error, Job, Labels, Order, Preset, Training, TrainingRequest, TrainingResult};
+use crate::app::{Error, Job, Order, Preset, Training, TrainingRequest, TrainingResult};
 use clap::ValueEnum;
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::Under;
@@ -56,6 +57,8 @@ pub(super) struct Arguments {
     /// Bench file whose spoon to use; the fast model ignores it [default: FLIP's own spoon].
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
+    #[command(flatten)]
+    labels: LabelArguments,
     #[command(flatten)]
     extended: SimulatorArguments,
 }
@@ -110,6 +113,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let began = std::time::Instant::now();
     let conditions = arguments.extended.conditions()?;
     let spoon = spoon(arguments.bench.as_deref())?;
+    let labels = arguments.labels.all()?;
     let request = |order: OrderFlag, seed: u64| TrainingRequest {
         order: order.into(),
         preset: arguments.preset.into(),
@@ -122,7 +126,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         conditions: conditions.clone(),
         as_calibrated: arguments.as_calibrated,
         spoon,
-        labels: Labels::default(),
+        labels: labels.clone(),
     };
     let document = |training: Training, seed: u64| {
         let result = training

@@ -5,6 +5,7 @@ use super::benches::BenchArguments;
 use super::calibrate::{Target as CalibrationTarget, calibrate};
 use super::failure::Failure;
 use super::lab::{Lab, Look};
+use super::labels::LabelArguments;
 use super::session::with_bench;
 use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
@@ -71,6 +72,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "TEXT")]
     vial: Option<String>,
     #[command(flatten)]
+    pub(super) labels: LabelArguments,
+    #[command(flatten)]
     extended: SimulatorArguments,
     #[command(flatten)]
     pub(super) bench: BenchArguments,
@@ -124,6 +127,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         conditions,
         asked,
         vial_check,
+        labels: arguments.labels.all()?,
         ..request
     };
     // A new key: running the command again means another dose.

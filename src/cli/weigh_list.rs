@@ -10,9 +10,7 @@ use super::measurements::read;
 use super::session::with_bench;
 use super::table::table;
 use super::weigh::{Arguments, OFTEN};
-use crate::app::{
-    Asked, DoseListRequest, Labels, Tolerance, VialCheck, VialReadyRequest, Weighing,
-};
+use crate::app::{Asked, DoseListRequest, Tolerance, VialCheck, VialReadyRequest, Weighing};
 use crate::telemetry;
 use flip_core::domain::FieldError;
 use flip_core::domain::weighing::{Outcome, WeighingState};
@@ -50,7 +48,7 @@ struct Dose {
 pub(super) fn run(common: &Common, arguments: &Arguments, file: &Path) -> Result<(), Failure> {
     let stem = || file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
     let name = arguments.name.clone().or_else(stem).unwrap_or_default();
-    let request = request(arguments, &name, read("list", file)?);
+    let request = request(arguments, &name, read("list", file)?)?;
     let table = request.table.as_deref().unwrap_or_default();
     let key = format!("flip-weigh-{}", hex::encode(Sha256::digest(format!("{name}\n{table}"))));
     let (doses, stopped) = with_bench(common, &arguments.bench, async |lab| {
@@ -73,9 +71,13 @@ pub(super) fn run(common: &Common, arguments: &Arguments, file: &Path) -> Result
     stopped.map_or(Ok(()), |why| Err(Failure::Found(why)))
 }
 
-fn request(arguments: &Arguments, name: &str, table: String) -> DoseListRequest {
+fn request(
+    arguments: &Arguments,
+    name: &str,
+    table: String,
+) -> Result<DoseListRequest, FieldError> {
     let mg = arguments.tolerance_mg;
-    DoseListRequest {
+    Ok(DoseListRequest {
         name: name.to_owned(),
         doses: Vec::new(),
         table: Some(table),
@@ -85,9 +87,9 @@ fn request(arguments: &Arguments, name: &str, table: String) -> DoseListRequest 
         policy: arguments.policy.clone(),
         vial_check: VialCheck::Confirm,
         reservation: None,
-        labels: Labels::default(),
+        labels: arguments.labels.all()?,
         check: false,
-    }
+    })
 }
 
 /// The doses once all have ended, or as they are once the bench stands, and why it stands.

@@ -48,7 +48,8 @@ fn every_operation_is_in_the_table_and_what_is_missing_has_a_reason() {
 /// Every command that does something, as `bench clear`.
 fn commands() -> BTreeSet<String> {
     fn leaves(command: &clap::Command, name: &str, into: &mut BTreeSet<String>) {
-        let below = command.get_subcommands().filter(|it| it.get_name() != "help");
+        let below =
+            command.get_subcommands().filter(|it| it.get_name() != "help" && !it.is_hide_set());
         let below: Vec<_> = below.collect();
         if below.is_empty() || !command.is_subcommand_required_set() && !name.is_empty() {
             into.insert(name.to_owned());

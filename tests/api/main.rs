@@ -4,6 +4,7 @@ mod archive;
 mod asked;
 mod audit_search;
 mod authorization;
+mod balance;
 mod caller_labels;
 mod characterisations;
 mod checklist;

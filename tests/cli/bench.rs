@@ -45,6 +45,20 @@ fn a_bench_is_reserved_and_released_on_the_command_line_and_only_a_held_one_is_r
 }
 
 #[test]
+fn the_balance_is_read_and_tared_on_the_command_line_where_there_is_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let ask =
+        |verb: &str, bench: &str| flip(folder.path(), &["bench", verb, "--bench", bench, "--json"]);
+    let shown = document(&ask("read", "emulated"));
+    assert!((shown["mass_mg"].as_f64().unwrap() - 12_000.0).abs() < 5.0, "{shown}");
+    let tared = document(&ask("tare", "emulated"));
+    assert!(tared["mass_mg"].as_f64().unwrap().abs() <= 2.0, "{tared}");
+    let refused = ask("read", "simulated");
+    expect_status(&refused, 2);
+    assert!(stderr(&refused).contains("--bench emulated"), "{}", stderr(&refused));
+}
+
+#[test]
 fn bench_writes_the_same_bed_twice_as_centres_in_metres() {
     let folder = tempfile::tempdir().unwrap();
     let bed = || {

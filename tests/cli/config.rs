@@ -17,16 +17,16 @@ fn a_settings_file_stands_behind_the_command_line_and_a_mistake_in_it_begins_not
             .unwrap()
     };
     let settings = format!(
-        "data_dir = {:?}\njson = true\n[repose]\nfriction = 0.3\ncohesion = 0\n",
+        "data_dir = {:?}\njson = true\n[heap]\nfriction = 0.3\ncohesion = 0\n",
         data.to_str().unwrap()
     );
-    let by_file = run(&settings, &["repose"]);
+    let by_file = run(&settings, &["heap"]);
     expect_status(&by_file, 0);
-    let typed = flip(&data, &["repose", "--friction", "0.3", "--cohesion", "0", "--json"]);
+    let typed = flip(&data, &["heap", "--friction", "0.3", "--cohesion", "0", "--json"]);
     assert_eq!(document(&by_file), document(&typed));
-    let over = run(&settings, &["repose", "--friction", "0.5"]);
+    let over = run(&settings, &["heap", "--friction", "0.5"]);
     assert_ne!(document(&over)["parameters"], document(&typed)["parameters"]);
-    let wrong = run("[repose]\nfricton = 0.3\n", &["repose", "--json"]);
+    let wrong = run("[heap]\nfricton = 0.3\n", &["heap", "--json"]);
     expect_status(&wrong, 2);
     assert!(
         document(&wrong).to_string().contains("did you mean `friction`"),

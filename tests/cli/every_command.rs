@@ -6,7 +6,7 @@ use serde_json::Value;
 const COMMANDS: [&str; 26] = [
     "serve",
     "demo",
-    "repose",
+    "heap",
     "validate",
     "bench",
     "calibrate",
@@ -87,15 +87,15 @@ fn a_fresh_data_folder_is_made_and_seeded_by_whatever_comes_first() {
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
     let cases: [(&[&str], &str); 36] = [
-        (&["repose", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
-        (&["repose", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
-        (&["repose", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
-        (&["repose", "--damping", "soft"], "--damping"),
-        (&["repose", "--repeats", "0"], "repeats"),
-        (&["repose", "--readings", "65"], "readings: must be from 1 to 64"),
-        (&["repose", "--particles", "199"], "particles: must be from 200 to 20000"),
-        (&["repose", "--weight", "3"], "--weight"),
-        (&["repose", "--compat", "flex"], "--compat"),
+        (&["heap", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
+        (&["heap", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
+        (&["heap", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
+        (&["heap", "--damping", "soft"], "--damping"),
+        (&["heap", "--repeats", "0"], "repeats"),
+        (&["heap", "--readings", "65"], "readings: must be from 1 to 64"),
+        (&["heap", "--particles", "199"], "particles: must be from 200 to 20000"),
+        (&["heap", "--weight", "3"], "--weight"),
+        (&["heap", "--compat", "flex"], "--compat"),
         (&["bench", "sim", "--windows", "0"], "windows: must be from 1 to 100"),
         (&["bench", "sim", "--sizes", "2000,99"], "sizes: must be from 100 to 200000"),
         (

@@ -3,7 +3,38 @@
 use crate::characterise::calibrated;
 use crate::harness::{document, expect_status, flip, stderr};
 use flip_core::domain::parameters::ParameterSet;
-use serde_json::json;
+use serde_json::{Value, json};
+
+#[test]
+fn what_callers_write_on_doses_and_jobs_is_kept_and_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path();
+    calibrated(data);
+    let weigh = ["weigh", "--powder", "salt", "--target-mg", "8", "--label"];
+    let labelled = |labels: &[&str]| flip(data, &[&weigh[..], labels].concat());
+    expect_status(&labelled(&["study:X: 2", "--label", "plate:A7"]), 0);
+    for (wrong, told) in [
+        (&["study"][..], "must be a key and its value, as `plate:A7`, got `study`"),
+        (&["plate:A7", "--label", "plate:B1"][..], "label: `plate` has two values"),
+    ] {
+        let refused = labelled(wrong);
+        expect_status(&refused, 2);
+        assert!(stderr(&refused).contains(told), "{}", stderr(&refused));
+    }
+    let intents = data.join("intents.json");
+    let export = ["audit", "export", "--kind", "intent", "--out", intents.to_str().unwrap()];
+    expect_status(&flip(data, &export), 0);
+    let intents: Value = serde_json::from_slice(&std::fs::read(intents).unwrap()).unwrap();
+    let kept: Vec<&Value> =
+        intents.as_array().unwrap().iter().map(|it| &it["body"]["labels"]).collect();
+    assert_eq!(kept, [&json!({ "plate": "A7", "study": "X: 2" })]);
+    expect_status(&flip(data, &["film", "--label", "plate:A7"]), 0);
+    let films = |label: &str| {
+        let found = document(&flip(data, &["jobs", "--label", label, "--json"]));
+        found["items"].as_array().unwrap().len()
+    };
+    assert_eq!((films("plate:A7"), films("plate:A8"), films("study:X: 2")), (1, 0, 0));
+}
 
 #[test]
 fn a_dose_is_filmed_into_a_file_and_made_only_once() {

@@ -3,12 +3,14 @@
 import unittest
 
 import test_madsci
+import test_openapi
 import test_sila
 import test_tables
 import test_webhooks
 from service import environment
 
 for packages in (
+    test_openapi.GENERATOR,
     test_madsci.MADSCI,
     test_sila.SILA2,
     test_sila.UNITELABS,

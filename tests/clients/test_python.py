@@ -280,6 +280,37 @@ class Adapters(unittest.TestCase):
         self.assertEqual([found["states"], found["unknown"], found["serialized"]], [[True, True], ["powder"], [True, True]])
         self.assertEqual(len(set(found["vials"])), 2)
 
+    def test_pylabrobot_reads_and_tares_the_balance_between_doses(self):
+        with service.Service.ready("--bench", "emulated") as emulated:
+            secret = emulated.secrets[service.OPERATOR]
+            reserved = emulated.post("/v1/bench/reservation", {"owner": "scale", "seconds": 600})["id"]
+            found = service.drive(self.python, "with_python_scale.py", "weigh", emulated.url, secret, service.POWDER, reserved)
+            self.assertIn("setup", found["before_setup"])
+            # The emulated balance carries an empty vial of 12 g between doses.
+            self.assertAlmostEqual(found["vial_g"], 12.0, delta=0.1)
+            for grams in found["tared_g"] + found["old_name_g"]:
+                self.assertAlmostEqual(grams, 0.0, delta=0.002)
+            # 12 g are beyond its zero range.
+            self.assertEqual(found["zero_with_a_load"], "409 balance-failed")
+            self.assertEqual(found["serialized"], [True, True, True])
+            self.assertEqual(found["reserved"], ["409 bench-reserved"] * 2)
+            self.assertEqual(found["record"][0], "bool")
+            self.assertGreater(found["record"][1], 0.0)
+            self.assertLess(found["age_s"], 30)
+            self.assertTrue(found["later"])
+            self.assertEqual(found["busy"], ["409 bench-busy"] * 3)
+            emulated.kill()
+            emulated.start()
+            emulated.ask("DELETE", f"/v1/bench/reservation/{reserved}")
+            found = service.drive(self.python, "with_python_scale.py", "refused", emulated.url, secret)
+            # A latched bench shows what is on its balance, and changes nothing.
+            self.assertAlmostEqual(found["read_g"], 12.0, delta=0.1)
+            self.assertEqual(found["refused"], ["409 bench-latched"] * 2)
+            self.assertEqual(found["client"], ["not refused", *["409 bench-latched"] * 2])
+        found = service.drive(self.python, "with_python_scale.py", "refused", self.service.url, self.secret)
+        self.assertIn("no balance", found["setup"])
+        self.assertEqual(found["client"], ["409 no-balance"] * 3)
+
     def test_bluesky(self):
         found = self.drive("bluesky")
         self.assertEqual([found["protocols"], found["doses"], found["units"]], [[True] * 4, [True, True], "mg"])

@@ -85,7 +85,13 @@ export class Pages<T> {
       this.total = page.total
       this.problem = undefined
     } catch (error) {
-      if (question === this.#asked) this.problem = Problem.of(error)
+      if (question !== this.#asked) return
+      this.problem = Problem.of(error)
+      // To what is not understood, the rows of an earlier question are no answer.
+      if (this.problem.status === 400 && !after) {
+        this.items = []
+        this.next = this.total = undefined
+      }
     }
   }
 }

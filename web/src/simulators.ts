@@ -57,7 +57,8 @@ export function throughOf({ version }: Simulator): Through[] {
   return [...found.values()]
 }
 
-const KNOWN = ['sentence', 'causes', 'unexplained', 'gain', 'verified']
+/** Shown in lines of their own, or part of the causes. */
+const KNOWN = ['sentence', 'causes', 'unexplained', 'gain', 'verified', 'extensions', 'powders']
 
 /** Anything as one line of text. */
 export function plain(value: unknown): string {

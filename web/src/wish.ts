@@ -27,7 +27,7 @@ function read(): Wish[] {
 const write = (wishes: Wish[]) => sessionStorage.setItem(PLACE, JSON.stringify(wishes.slice(-MOST)))
 
 /** crypto.randomUUID needs TLS or loopback; this does not. */
-function newKey(): string {
+export function newKey(): string {
   return [...crypto.getRandomValues(new Uint8Array(16))].map((b) => b.toString(16).padStart(2, '0')).join('')
 }
 

@@ -194,13 +194,7 @@ describe('on the page of a weighing', () => {
     await service?.stop()
   })
   const section = () => page.locator('section', { has: page.getByRole('heading', { name: 'The powder' }) })
-  /** Once the page knows that there is a film: before, it would ask for one. */
-  const showMade = async () => {
-    const show = section().getByRole('button', { name: 'Show the grains' })
-    await show.waitFor()
-    await section().getByText('Takes the simulator about').waitFor({ state: 'detached' })
-    await show.click()
-  }
+  const showMade = () => section().getByRole('button', { name: 'Show the grains' }).click()
   const number = (name) => section().locator('.numbers div', { has: page.locator('dt', { hasText: new RegExp(`^${name}`) }) }).locator('dd')
 
   it('asks for a token before it has one made, and shows how far it is', async () => {
@@ -221,6 +215,42 @@ describe('on the page of a weighing', () => {
     assert.deepEqual(asked, { weighing: ID, spoonful: 1 })
     await becomes(() => section().getByRole('progressbar').getAttribute('aria-valuenow'), '40')
     await section().getByRole('button', { name: 'Cancel' }).waitFor()
+  })
+
+  it('waits for the list of what was made: asks for none that is there, or that is being made', async () => {
+    const begun = { ...made, job: job('running', 0.7), result: null }
+    const lists = /\/v1\/films\?/
+    let posted = 0
+    page.on('request', (request) => (posted += request.method() === 'POST' ? 1 : 0))
+    for (const [there, shown] of [[[made], 'slider'], [[begun], 'progressbar']]) {
+      let arrive
+      const arrival = new Promise((resolve) => (arrive = resolve))
+      items = there
+      await page.route(lists, (route) => arrival.then(() => route.fulfill({ json: { items } })))
+      await chromium.open(page, `weighings/${ID}`)
+      await section().getByRole('button', { name: 'Show the grains' }).click()
+      await section().getByRole('button', { name: 'One moment…' }).waitFor()
+      arrive()
+      await section().getByRole(shown).waitFor()
+      await page.unroute(lists)
+      await page.route(lists, (route) => route.fulfill({ json: { items } }))
+    }
+    assert.equal(posted, 0)
+  })
+
+  it('tries the list again where it was lost', async () => {
+    items = [made]
+    let lost = true
+    let refused = 0
+    await page.route(/\/v1\/films\?/, (route) => (lost ? (refused++, route.fulfill({ status: 404, json: {} })) : route.fallback()))
+    await chromium.open(page, `weighings/${ID}`)
+    await section().getByRole('alert').getByText('The service returned 404').waitFor()
+    const before = refused
+    await section().getByRole('button', { name: 'Show the grains' }).click()
+    await holds(() => assert.ok(refused > before))
+    lost = false
+    await section().getByRole('button', { name: 'Show the grains' }).click()
+    await section().getByRole('slider').waitFor()
   })
 
   it('plays what was made, stops at the end, and does not begin by itself for who asks for less motion', async () => {

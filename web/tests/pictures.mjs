@@ -84,7 +84,8 @@ await keep('compare')
 
 await service.finished(investigation.id, 900)
 await chromium.open(page, `investigations/${investigation.id}`)
-await page.locator('main .badge', { hasText: 'Succeeded' }).waitFor()
+// The badge stands there before the report has arrived.
+await page.getByRole('heading', { name: 'How well each cause explains the data' }).waitFor()
 await keep('investigation')
 
 await chromium.browser.close()

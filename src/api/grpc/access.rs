@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use std::sync::LazyLock;
 
 /// Prefixes of the names of read-only methods.
-const READING: [&str; 6] = ["Get", "List", "Watch", "Compare", "Verify", "Download"];
+const READING: [&str; 7] = ["Get", "List", "Read", "Watch", "Compare", "Verify", "Download"];
 /// The services reserved for admins.
 const TOKENS: &str = "Tokens";
 const WEBHOOKS: &str = "Webhooks";

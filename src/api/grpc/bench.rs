@@ -4,7 +4,8 @@ use super::convert::{all, page};
 use super::proto::*;
 use super::{Service, clear, read, write};
 use crate::app::{
-    self, AuditAsked, AuditWanted, ClearRequest, NewChecklist, RepeatabilityRequest, ResumeRequest,
+    self, AuditAsked, AuditWanted, BalanceRequest, ClearRequest, NewChecklist,
+    RepeatabilityRequest, ResumeRequest,
 };
 use tonic::{Request, Response, Status};
 
@@ -88,6 +89,30 @@ impl bench_server::Bench for Service {
             .check_repeatability(RepeatabilityRequest { readings_mg, readability_mg })
             .await?;
         Ok(Response::new(found.into()))
+    }
+
+    async fn read_balance(
+        &self,
+        request: Request<ReadBalanceRequest>,
+    ) -> Result<Response<BalanceReading>, Status> {
+        read(request)?;
+        Ok(Response::new(self.app.read_balance().await?.into()))
+    }
+
+    async fn tare_balance(
+        &self,
+        request: Request<TareBalanceRequest>,
+    ) -> Result<Response<BalanceReading>, Status> {
+        let TareBalanceRequest { reservation } = write(request)?;
+        Ok(Response::new(self.app.tare_balance(BalanceRequest { reservation }).await?.into()))
+    }
+
+    async fn zero_balance(
+        &self,
+        request: Request<ZeroBalanceRequest>,
+    ) -> Result<Response<BalanceReading>, Status> {
+        let ZeroBalanceRequest { reservation } = write(request)?;
+        Ok(Response::new(self.app.zero_balance(BalanceRequest { reservation }).await?.into()))
     }
 
     async fn list_audit(

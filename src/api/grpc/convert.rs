@@ -296,6 +296,9 @@ same_fields! {
         latch: b.latch.map(Into::into),
         repeatability: b.repeatability.map(Into::into),
     }
+    r: app::BalanceReading => BalanceReading { mass_mg stable readability_mg balance } {
+        at: at(r.at),
+    }
     r: app::Repeatability => Repeatability { sd_mg readability_mg } {
         minimum_mg: r.minimum_mg(0.001),
         readings_mg: r.readings_mg,

@@ -5,8 +5,8 @@ use super::extract::{Input, Path};
 use crate::api::auth::{Clearer, Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{
-    BenchStatus, Checklist, ClearRequest, NewChecklist, Repeatability, RepeatabilityRequest,
-    Reservation, ReservationRequest, ResumeRequest,
+    BalanceReading, BalanceRequest, BenchStatus, Checklist, ClearRequest, NewChecklist,
+    Repeatability, RepeatabilityRequest, Reservation, ReservationRequest, ResumeRequest,
 };
 use crate::app::App;
 use axum::Json;
@@ -108,6 +108,49 @@ pub async fn check_repeatability(
     Input(request): Input<RepeatabilityRequest>,
 ) -> Result<Json<Repeatability>, Problem> {
     Ok(answer(app.check_repeatability(request).await?))
+}
+
+/// Read the balance while nothing is dosed.
+///
+/// The display at once, stable or not; ask again until `stable` is true. During a dose its trace has
+/// the readings.
+#[utoipa::path(get, path = "/v1/bench/balance", tag = "bench",
+    responses((status = 200, description = "What it shows", body = BalanceReading),
+        (status = 409, description = "A dose or a pile has it, there is none between doses, or it failed", body = Problem, content_type = "application/problem+json")))]
+pub async fn read_balance(
+    _: Viewer,
+    State(app): State<App>,
+) -> Result<Json<BalanceReading>, Problem> {
+    Ok(answer(app.read_balance().await?))
+}
+
+/// Tare the balance with the load on it, while nothing is dosed.
+///
+/// It waits until the reading is stable. No dose starts meanwhile, and each dose tares again by
+/// itself. Recorded in the audit trail.
+#[utoipa::path(post, path = "/v1/bench/balance/tare", tag = "bench", request_body = BalanceRequest,
+    responses((status = 200, description = "What it shows afterwards", body = BalanceReading),
+        (status = 409, description = "A dose or a pile has it, the bench is latched or reserved, there is none between doses, or it failed", body = Problem, content_type = "application/problem+json")))]
+pub async fn tare_balance(
+    _: Operator,
+    State(app): State<App>,
+    Input(request): Input<BalanceRequest>,
+) -> Result<Json<BalanceReading>, Problem> {
+    Ok(answer(app.tare_balance(request).await?))
+}
+
+/// Set the balance's zero point, while nothing is dosed.
+///
+/// As tare, but with an empty pan: with a load beyond its zero range a balance refuses.
+#[utoipa::path(post, path = "/v1/bench/balance/zero", tag = "bench", request_body = BalanceRequest,
+    responses((status = 200, description = "What it shows afterwards", body = BalanceReading),
+        (status = 409, description = "A dose or a pile has it, the bench is latched or reserved, there is none between doses, or it failed", body = Problem, content_type = "application/problem+json")))]
+pub async fn zero_balance(
+    _: Operator,
+    State(app): State<App>,
+    Input(request): Input<BalanceRequest>,
+) -> Result<Json<BalanceReading>, Problem> {
+    Ok(answer(app.zero_balance(request).await?))
 }
 
 /// What a person checks before a dose.

@@ -42,7 +42,7 @@ impl<T: DeserializeOwned + wire::Request, S: Send + Sync> FromRequest<S> for Inp
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        let body = body(request, state, "application/json", BODY_BYTES_MAX).await?;
+        let body = body(request, state, &["application/json"], BODY_BYTES_MAX).await?;
         Ok(Self(parse::<T>(&body)?.means()))
     }
 }
@@ -54,12 +54,12 @@ impl<T: DeserializeOwned + wire::Request, S: Send + Sync> FromRequest<S> for Lar
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        let body = body(request, state, "application/json", LARGE_BYTES_MAX).await?;
+        let body = body(request, state, &["application/json"], LARGE_BYTES_MAX).await?;
         Ok(Self(parse::<T>(&body)?.means()))
     }
 }
 
-/// A CSV body.
+/// A CSV body, called `text/csv` or, by clients made from the document, a file.
 #[derive(Debug)]
 pub struct Csv(pub String);
 
@@ -67,7 +67,8 @@ impl<S: Send + Sync> FromRequest<S> for Csv {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        let bytes = body(request, state, "text/csv", LARGE_BYTES_MAX).await?;
+        let kinds = ["text/csv", "application/octet-stream"];
+        let bytes = body(request, state, &kinds, LARGE_BYTES_MAX).await?;
         Ok(Self(table_text(&bytes)?))
     }
 }
@@ -80,19 +81,19 @@ impl<S: Send + Sync> FromRequest<S> for Octets {
     type Rejection = Problem;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Problem> {
-        Ok(Self(body(request, state, "application/octet-stream", LARGE_BYTES_MAX).await?))
+        Ok(Self(body(request, state, &["application/octet-stream"], LARGE_BYTES_MAX).await?))
     }
 }
 
-/// A body of this content type, within the size limit.
+/// A body of one of these content types, within the size limit.
 async fn body<S: Send + Sync>(
     request: Request,
     state: &S,
-    kind: &str,
+    kinds: &[&str],
     bytes_max: usize,
 ) -> Result<Bytes, Problem> {
-    if !is_of_kind(request.headers(), kind) {
-        return Err(Problem::unsupported_media_type(kind));
+    if !kinds.iter().any(|kind| is_of_kind(request.headers(), kind)) {
+        return Err(Problem::unsupported_media_type(&kinds.join(" or ")));
     }
     Bytes::from_request(request, state).await.map_err(|rejection| match rejection.status() {
         StatusCode::PAYLOAD_TOO_LARGE => Problem::too_large(bytes_max),

@@ -107,7 +107,7 @@ pub struct ImportParams {
 /// decimals take a point or a comma. Empty cells, `NA` and the like are missing values. A refusal
 /// names the cell, such as `row[2].repose_deg`; the header is row 1.
 #[utoipa::path(post, path = "/v1/measurements/import", tag = "powders", params(ImportParams),
-    request_body(content = String, content_type = "text/csv", description = "The file, UTF-8 or UTF-16, at most 20000 rows and 8 MiB"),
+    request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "The file, UTF-8 or UTF-16, at most 20000 rows and 8 MiB; `text/csv` says the same"),
     responses((status = 201, description = "Entries added", body = Imported),
         (status = 415, description = "The body is not CSV", body = Problem, content_type = "application/problem+json")))]
 pub async fn import_measurements(

@@ -117,7 +117,7 @@ pub async fn export_shakes(
 /// listed already, with the same shakes, is skipped. A refusal names the cell, such as
 /// `row[2].fell_mg`; the header is row 1.
 #[utoipa::path(post, path = "/v1/shakes/import", tag = "shakes", params(ShakesImportParams),
-    request_body(content = String, content_type = "text/csv", description = "The file, UTF-8 or UTF-16, at most 20000 rows and 8 MiB"),
+    request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "The file, UTF-8 or UTF-16, at most 20000 rows and 8 MiB; `text/csv` says the same"),
     responses((status = 201, description = "What was added", body = ImportedShakes),
         (status = 415, description = "The body is not CSV", body = Problem, content_type = "application/problem+json")))]
 pub async fn import_shakes(

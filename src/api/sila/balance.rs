@@ -1,12 +1,14 @@
-//! BalanceReading: the last reading of the last dose. FLIP does not read its balance between doses.
+//! BalanceReading: the readings of doses, and the balance between doses.
 
-use super::error::unanswered;
+use super::error::{Call, unanswered};
 use super::execution::Values;
+use super::feature::BALANCE;
+use super::identity::lock_identifier;
 use super::proto::sila2::flip::weighing::balancereading::v1::subscribe_reading_responses::ReadingStruct;
 use super::proto::sila2::flip::weighing::balancereading::v1::*;
 use super::value::{boolean, integer, real, text};
-use super::{Sila, read};
-use crate::app::{App, Event, PageQuery, Topic, WeighingsAsked};
+use super::{Sila, operate, read};
+use crate::app::{App, BalanceRequest, Event, PageQuery, Topic, WeighingsAsked};
 use balance_reading_server::BalanceReading;
 use flip_core::domain::bench::Tick;
 use futures::StreamExt;
@@ -19,8 +21,55 @@ const LOOKED_AT: u32 = 20;
 /// Topics of weighings begin so.
 const WEIGHING: &str = "weighing:";
 
+const READ: Call = Call {
+    feature: BALANCE,
+    command: "Read",
+    parameters: &[],
+    errors: &[
+        ("no_balance", "NoBalance"),
+        ("bench_busy", "BenchBusy"),
+        ("ending_unwritten", "BenchBusy"),
+        ("bench_latched", "BenchLatched"),
+        ("bench_reserved", "BenchReserved"),
+        ("reservation_ended", "BenchReserved"),
+        ("balance_failed", "BalanceFailed"),
+    ],
+};
+const TARE: Call = Call { command: "Tare", ..READ };
+const ZERO: Call = Call { command: "Zero", ..READ };
+
 #[tonic::async_trait]
 impl BalanceReading for Sila {
+    async fn read(
+        &self,
+        request: Request<ReadParameters>,
+    ) -> Result<Response<ReadResponses>, Status> {
+        read(request)?;
+        let shown = self.app.read_balance().await.map_err(|error| READ.refused(error))?;
+        let (mass, stable) = (real(shown.mass_mg), boolean(shown.stable));
+        Ok(Response::new(ReadResponses { mass, stable }))
+    }
+
+    async fn tare(
+        &self,
+        request: Request<TareParameters>,
+    ) -> Result<Response<TareResponses>, Status> {
+        let request = self.locked(request).await?;
+        let tared = self.app.tare_balance(request).await.map_err(|error| TARE.refused(error))?;
+        let (mass, stable) = (real(tared.mass_mg), boolean(tared.stable));
+        Ok(Response::new(TareResponses { mass, stable }))
+    }
+
+    async fn zero(
+        &self,
+        request: Request<ZeroParameters>,
+    ) -> Result<Response<ZeroResponses>, Status> {
+        let request = self.locked(request).await?;
+        let zeroed = self.app.zero_balance(request).await.map_err(|error| ZERO.refused(error))?;
+        let (mass, stable) = (real(zeroed.mass_mg), boolean(zeroed.stable));
+        Ok(Response::new(ZeroResponses { mass, stable }))
+    }
+
     type Subscribe_ReadingStream = Values<SubscribeReadingResponses>;
 
     async fn subscribe_reading(
@@ -38,6 +87,15 @@ impl BalanceReading for Sila {
             })
         });
         Ok(Response::new(stream::iter([Ok(first)]).chain(later).boxed()))
+    }
+}
+
+impl Sila {
+    /// What an operator asks for, under the lock that was sent along.
+    async fn locked<T>(&self, request: Request<T>) -> Result<BalanceRequest, Status> {
+        let lock = lock_identifier(request.metadata().as_ref())?;
+        operate(request)?;
+        Ok(BalanceRequest { reservation: self.reservation(lock).await? })
     }
 }
 

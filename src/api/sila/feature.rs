@@ -42,7 +42,7 @@ const ALL: [Feature; 11] = [
     feature!(LOCK, "LockController", ["LockServer", "UnlockServer"]),
     feature!(WEIGHING, "PowderWeighing", ["DosePowder", "ConfirmVial"]),
     feature!(BENCH, "BenchControl", ["Stop", "Clear", "Resume"]),
-    feature!(BALANCE, "BalanceReading", []),
+    feature!(BALANCE, "BalanceReading", ["Tare", "Zero"]),
     feature!(REPOSE, "AngleOfReposeMeasurement", ["MeasureAngleOfRepose", "AddFrame"]),
     feature!(CALIBRATION, "PowderCalibration", ["Calibrate"]),
     feature!(DISCOVERY, "SimulatorDiscovery", ["Investigate"]),
@@ -50,8 +50,13 @@ const ALL: [Feature; 11] = [
 
 /// Calls that need the lock's identifier while the server is locked: those that move something.
 /// Stopping needs none.
-pub const LOCKED: [(&str, &str); 3] =
-    [(WEIGHING, "DosePowder"), (WEIGHING, "ConfirmVial"), (REPOSE, "MeasureAngleOfRepose")];
+pub const LOCKED: [(&str, &str); 5] = [
+    (WEIGHING, "DosePowder"),
+    (WEIGHING, "ConfirmVial"),
+    (BALANCE, "Tare"),
+    (BALANCE, "Zero"),
+    (REPOSE, "MeasureAngleOfRepose"),
+];
 
 /// The features of a server, with or without the lock.
 pub fn all(with_lock: bool) -> impl Iterator<Item = &'static Feature> {

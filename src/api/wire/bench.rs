@@ -89,6 +89,34 @@ pub struct ResumeRequest {
 
 request! { ResumeRequest => app::ResumeRequest { by, note } }
 
+/// What the balance shows while nothing is dosed.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct BalanceReading {
+    /// Display, mg: net of what was tared last.
+    pub mass_mg: f64,
+    /// Whether the balance calls it stable.
+    pub stable: bool,
+    /// When it was read.
+    pub at: Timestamp,
+    /// Readability (display step), mg, where known.
+    pub readability_mg: Option<f64>,
+    /// The balance as it identified itself at the last dose, if there was one.
+    pub balance: Option<String>,
+}
+
+answer! { app::BalanceReading => BalanceReading { mass_mg, stable, at, readability_mg, balance } }
+
+/// A request to tare or zero the balance.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BalanceRequest {
+    /// The bench reservation under which the request is made, `rs-…`, if any.
+    #[serde(default)]
+    pub reservation: Option<String>,
+}
+
+request! { BalanceRequest => app::BalanceRequest { reservation } }
+
 /// Weighings of one test weight.
 #[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

@@ -7,6 +7,7 @@ mod ours;
 mod peers;
 mod probe;
 mod roofline;
+mod scale;
 mod shakes;
 mod sim;
 mod text;
@@ -46,6 +47,12 @@ enum What {
     /// Confirm that the vial is in for the weighing whose turn it is, and wait until the dose has
     /// ended.
     VialReady(turns::VialReadyArguments),
+    /// Show what the balance reads while nothing is dosed.
+    Read(scale::ReadArguments),
+    /// Tare the balance while nothing is dosed.
+    Tare(scale::ZeroArguments),
+    /// Set the balance's zero point while nothing is dosed.
+    Zero(scale::ZeroArguments),
     /// Find out which balance is connected.
     Probe(probe::Arguments),
     /// Test every device in a bench file, without powder.
@@ -91,6 +98,9 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         What::Release(arguments) => turns::release(common, arguments),
         What::VialReady(arguments) => turns::vial_ready(common, arguments),
         What::Repeatability(arguments) => upkeep::repeatability(common, arguments),
+        What::Read(arguments) => scale::read(common, arguments),
+        What::Tare(arguments) => scale::tare(common, arguments),
+        What::Zero(arguments) => scale::zero(common, arguments),
         What::Probe(arguments) => probe::run(common, arguments),
         What::Check(arguments) => check::run(common, arguments),
         What::CalibrateShake(arguments) => shakes::run(common, arguments),

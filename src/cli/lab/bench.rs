@@ -3,8 +3,8 @@
 use super::super::server::Request;
 use super::Lab;
 use crate::app::{
-    BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest, Reservation,
-    ReservationRequest, Result, ResumeRequest,
+    BalanceReading, BalanceRequest, BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest,
+    Reservation, ReservationRequest, Result, ResumeRequest,
 };
 
 impl Lab {
@@ -39,6 +39,33 @@ impl Lab {
         match self {
             Self::Here(app) => app.check_repeatability(request).await,
             Self::There(server) => server.post(&["bench", "repeatability"], &request).await,
+        }
+    }
+
+    pub(in super::super) async fn read_balance(&self) -> Result<BalanceReading> {
+        match self {
+            Self::Here(app) => app.read_balance().await,
+            Self::There(server) => server.get(&["bench", "balance"]).await,
+        }
+    }
+
+    pub(in super::super) async fn tare_balance(
+        &self,
+        request: BalanceRequest,
+    ) -> Result<BalanceReading> {
+        match self {
+            Self::Here(app) => app.tare_balance(request).await,
+            Self::There(server) => server.post(&["bench", "balance", "tare"], &request).await,
+        }
+    }
+
+    pub(in super::super) async fn zero_balance(
+        &self,
+        request: BalanceRequest,
+    ) -> Result<BalanceReading> {
+        match self {
+            Self::Here(app) => app.zero_balance(request).await,
+            Self::There(server) => server.post(&["bench", "balance", "zero"], &request).await,
         }
     }
 

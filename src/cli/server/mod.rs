@@ -111,6 +111,18 @@ impl Server {
         self.blocking(move |server| server.send(&request)).await
     }
 
+    /// The answer to a request, also that what it is about is missing (404) or lost (410).
+    pub(super) async fn found_or_not(&self, request: Request) -> app::Result<Answer> {
+        self.blocking(move |server| {
+            let (answer, headers) = server.exchange(&request)?;
+            match answer.status {
+                404 | 410 => Ok(answer),
+                _ => server.checked(answer, &headers),
+            }
+        })
+        .await
+    }
+
     /// All items of a list.
     pub(super) async fn all<T: DeserializeOwned>(&self, list: Request) -> app::Result<Vec<T>> {
         let (mut items, mut after) = (Vec::new(), None);
@@ -177,14 +189,20 @@ impl Inner {
         self.underway.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sends a request, again if that changes nothing and the server may answer then.
+    /// The answer to a request, unless it is a refusal.
     fn send(&self, request: &Request) -> app::Result<Answer> {
+        let (answer, headers) = self.exchange(request)?;
+        self.checked(answer, &headers)
+    }
+
+    /// Sends a request, again if that changes nothing and the server may answer then.
+    fn exchange(&self, request: &Request) -> app::Result<(Answer, HeaderMap)> {
         let (mut tried, mut may_have_arrived) = (0, false);
         loop {
             let is_last = tried == TRIES || !request.repeatable;
             let pause = match self.send_once(request) {
                 Ok((answer, headers)) if is_last || !RETRIED.contains(&answer.status) => {
-                    return self.checked(answer, &headers);
+                    return Ok((answer, headers));
                 }
                 Ok((_, headers)) => {
                     may_have_arrived = true;

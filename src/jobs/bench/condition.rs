@@ -177,6 +177,11 @@ impl Condition {
         self.known().pan.clone()
     }
 
+    /// Sets what is known of the pan, which is already stored.
+    pub fn set_pan(&self, pan: Pan) {
+        self.known().pan = pan;
+    }
+
     /// Sets a new repeatability check, which is already stored.
     pub fn set_repeatability(&self, found: Repeatability) {
         self.known().repeatability = Some(found);

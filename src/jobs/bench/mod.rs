@@ -19,7 +19,7 @@
 //! needs, `ending.rs` describes how it ended and records that whatever the database does;
 //! `condition.rs` is the state of the bench in memory; `sign.rs` is the stop of one dose,
 //! `halter.rs` notifies the arm of it, and `records.rs` writes stops down afterwards; `turns.rs`
-//! handles people's requests other than doses. What moves is a [`Rig`]: the simulator, an emulated
+//! handles people's requests other than doses, `scale.rs` those to the balance between doses. What moves is a [`Rig`]: the simulator, an emulated
 //! laboratory, or devices.
 
 mod condition;
@@ -29,6 +29,7 @@ mod journal;
 mod lane;
 mod prepare;
 mod records;
+mod scale;
 mod sign;
 mod turns;
 

@@ -65,6 +65,41 @@ fn what_a_folder_holds_reads_the_same_here_and_there() {
     health(&service);
 }
 
+/// An admin's export of a server has what a folder's has: no tokens, no webhooks.
+#[test]
+fn an_export_has_the_same_files_here_and_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path();
+    let measured = data.join("measured.csv");
+    std::fs::write(&measured, "powder,repose_deg\nflour,46\nflour,48\n").unwrap();
+    let import = ["measurements", "import", measured.to_str().unwrap(), "--create"];
+    expect_status(&flip(data, &import), 0);
+    let service = Service::start(data);
+    let (here, there) = (data.join("here"), data.join("there"));
+    let (one, other) = (here.to_str().unwrap(), there.to_str().unwrap());
+    let one = document(&flip(data, &["export", "--json", "--out", one]));
+    let other = document(&service.ask(&["export", "--json", "--out", other]));
+    assert_eq!(one["rows"], other["rows"]);
+    assert!(one["rows"]["powders.csv"] == 6 && one["policies"] == other["policies"], "{one}");
+    let files = |folder: &Path| {
+        let mut files: Vec<_> =
+            std::fs::read_dir(folder).unwrap().map(|it| it.unwrap().file_name()).collect();
+        files.sort();
+        files
+    };
+    assert_eq!(files(&here), files(&there));
+    for file in files(&here).iter().filter(|it| here.join(it).is_file()) {
+        let read = |folder: &Path| std::fs::read_to_string(folder.join(file)).unwrap();
+        assert_eq!(read(&here), read(&there), "{file:?}");
+    }
+    // A token that does not fit is an error, not an empty export.
+    let out = data.join("nothing");
+    let refused =
+        super::ask(&service.url(), "flip_wrong", &["export", "--out", out.to_str().unwrap()]);
+    assert!(!refused.status.success() && !out.exists(), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("FLIP_TOKEN"), "{}", stderr(&refused));
+}
+
 /// Commands that write a file.
 fn files_are_the_same(data: &Path, service: &Service, weighing: &str, policy: &str) {
     let (one, other) = (data.join("one"), data.join("other"));

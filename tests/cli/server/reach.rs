@@ -7,7 +7,7 @@ use crate::harness::{expect_status, stderr};
 const NOWHERE: &str = "http://127.0.0.1:1";
 
 /// Commands that ask a server, with arguments that they accept.
-const THERE: [&str; 40] = [
+const THERE: [&str; 44] = [
     "calibrate --powder salt",
     "measure --powder salt",
     "measurements import FILE",
@@ -38,6 +38,10 @@ const THERE: [&str; 40] = [
     "bench release rs",
     "bench vial-ready w",
     "bench repeatability --readings-mg 1,2",
+    "bench read",
+    "bench tare",
+    "bench zero --reservation rs",
+    "export --out x",
     "audit verify",
     "audit export --out x",
     "audit certificate --weighing w --out x",
@@ -55,6 +59,7 @@ const HERE: [&str; 26] = [
     "serve",
     "demo",
     "observe drained",
+    "heap",
     "repose",
     "validate",
     "policy infer --policy p --stdin",
@@ -64,7 +69,6 @@ const HERE: [&str; 26] = [
     "bench sim",
     "bench bed x",
     "audit archive --before 2026-01-01",
-    "export --out x",
     "backup x",
     "restore x",
     "emulate lab --out x",

@@ -168,7 +168,7 @@ export const startFilm = (request: T.FilmRequest) => body(client.POST('/v1/films
 export const filmGrains = (id: string): Promise<ArrayBuffer> =>
   body(client.GET('/v1/films/{id}/grains', { params: at(id), parseAs: 'arrayBuffer' })) as Promise<unknown> as Promise<ArrayBuffer>
 
-export const jobs = (query: LabelledQuery & { kind?: T.JobKind; state?: T.JobState } = {}) => body(client.GET('/v1/jobs', { params: { query } }))
+export const jobs = (query: LabelledQuery & { kind?: T.JobKind; state?: T.JobState; label?: string } = {}) => body(client.GET('/v1/jobs', { params: { query } }))
 export const cancelJob = (id: string) => body(client.POST('/v1/jobs/{id}/cancel', { params: at(id) }))
 /** The same inputs as a failed or cancelled job, as a new job. */
 export const startAgain = (id: string) => body(client.POST('/v1/jobs/{id}/again', { params: at(id) }))

@@ -38,7 +38,9 @@ export class AskedFilm {
 
   show = async (): Promise<void> => {
     this.problem = undefined
+    if (!(await this.#listed())) return
     if (this.known?.result) return this.#load(this.known.job.id)
+    if (this.running) return void (this.#wanted = true)
     if (!settings.token) return void (settings.asksForToken = true)
     this.busy = true
     try {
@@ -49,6 +51,18 @@ export class AskedFilm {
       this.problem = Problem.of(error, LOST.write)
     }
     this.busy = false
+  }
+
+  /** Whether the films that were made before are known, once they are: until then nobody can say that there is none. */
+  async #listed(): Promise<boolean> {
+    this.busy = true
+    // One that another takes the place of ends without an answer.
+    while (!this.list.value) {
+      await this.list.reload()
+      if (this.list.problem) break
+    }
+    this.busy = false
+    return this.list.value !== undefined
   }
 
   async #load(id: string) {

@@ -7,7 +7,6 @@ use super::gate::{self, EmulatedGate, Slide};
 use super::gripper::{EmulatedGripper, Fingers};
 use super::pan::Pan;
 use super::port::Port;
-use crate::hardware::balance as driver;
 use crate::hardware::bench_file::{ArmAddress, BenchFile, PortAddress, Readings};
 use crate::hardware::clock::Clock;
 use flip_core::domain::spoon::Spoon;
@@ -91,10 +90,7 @@ impl Laboratory {
         let Settings { balance, .. } = &self.settings;
         let address = |port: &Port| Some(PortAddress { port: port.address().to_owned() });
         BenchFile {
-            balance: driver::Settings {
-                readability_mg: Some(balance.readability_mg),
-                ..driver::Settings::new(balance.dialect, self.balance.address())
-            },
+            balance: balance.found_at(self.balance.address()),
             arm: ArmAddress { url: self.arm.url().to_owned(), motion_s: Some(MOTION_S) },
             spoon: Spoon::default(),
             gripper: address(&self.gripper),

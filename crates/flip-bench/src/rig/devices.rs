@@ -1,7 +1,7 @@
 //! The devices of a bench file.
 
 use super::wires::Wires;
-use super::{OnEvent, PileStand, Poured, Pouring, Rig};
+use super::{OnEvent, Order, PileStand, Poured, Pouring, Rig, Shown, scale};
 use crate::hardware::DeviceError;
 use crate::hardware::arm::proto::Mode;
 use crate::hardware::arm::{Arm, Deadlines};
@@ -107,6 +107,11 @@ impl Rig for Devices {
 
     fn readability_mg(&self) -> Option<f64> {
         self.file.balance.readability_mg
+    }
+
+    fn balance(&self, order: Order) -> Result<Shown, DeviceError> {
+        let (balance, noise_mg) = (&self.file.balance, self.file.readings.noise_mg);
+        scale::order(&self.wires, balance, noise_mg, self.clock.clone(), order)
     }
 
     fn remembers(&self) -> bool {

@@ -2,24 +2,45 @@
 
 use super::devices::dose;
 use super::wires::Wires;
-use super::{OnEvent, PileStand, Poured, Pouring, Rig};
-use crate::emulate::balance;
+use super::{OnEvent, Order, PileStand, Poured, Pouring, Rig, Shown, scale};
+use crate::emulate::balance::{self, Socket};
 use crate::emulate::hidden::{self, Hidden};
 use crate::emulate::lab::{self, Laboratory};
+use crate::emulate::pan::Pan;
 use crate::hardware::DeviceError;
+use crate::hardware::balance as driver;
 use crate::hardware::clock::Clock;
 use crate::hardware::wire::Exchange;
 use flip_core::domain::bench::BenchKind;
 use flip_sim::dispense;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A new laboratory for each dose. Its time is virtual, so a dose is quick and deterministic.
 pub struct Emulated {
     settings: lab::Settings,
     wires: Arc<Wires>,
     stand: PileStand,
+    /// Started by the first question to it.
+    idle: Mutex<Option<Idle>>,
+}
+
+/// The balance between doses, with an empty vial on it.
+struct Idle {
+    _plugged: balance::Balance,
+    settings: driver::Settings,
+    clock: Clock,
+}
+
+impl Idle {
+    fn start(settings: &lab::Settings) -> std::io::Result<Self> {
+        let clock = Clock::standing();
+        let pan = Pan::holding(settings.vial.mass_mg, clock.clone());
+        let balance = balance::Balance::start(settings.balance.clone(), pan, Socket::Pty)?;
+        let settings = settings.balance.found_at(balance.address());
+        Ok(Self { _plugged: balance, settings, clock })
+    }
 }
 
 impl Emulated {
@@ -27,7 +48,7 @@ impl Emulated {
     pub fn new(settings: lab::Settings) -> Self {
         let wires = Arc::<Wires>::default();
         let stand = PileStand::emulated(settings.clone(), wires.clone());
-        Self { settings, wires, stand }
+        Self { settings, wires, stand, idle: Mutex::default() }
     }
 }
 
@@ -84,6 +105,19 @@ impl Rig for Emulated {
 
     fn fills_spoon(&self) -> bool {
         self.settings.arm.scoops
+    }
+
+    fn balance(&self, order: Order) -> Result<Shown, DeviceError> {
+        let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let idle = match &mut *idle {
+            Some(idle) => idle,
+            none => none.insert(Idle::start(&self.settings).map_err(|error| {
+                let cause = format!("the emulated balance cannot be set up: {error}");
+                DeviceError::Faulted { device: "the balance", cause }
+            })?),
+        };
+        let noise_mg = self.settings.balance.noise_mg;
+        scale::order(&self.wires, &idle.settings, noise_mg, idle.clock.clone(), order)
     }
 
     fn remembers(&self) -> bool {

@@ -8,6 +8,7 @@ mod emulated;
 mod inbox;
 mod poured;
 mod pouring;
+mod scale;
 mod simulated;
 mod stand;
 mod wires;
@@ -17,6 +18,7 @@ pub use emulated::Emulated;
 pub use inbox::{Awaited, Inbox};
 pub use poured::Poured;
 pub use pouring::{Pouring, Simulation, Task};
+pub use scale::{Order, Shown};
 pub use simulated::{Simulated, simulate};
 pub use stand::{PileInMaking, PileStand, Piling, Unpiled};
 
@@ -104,6 +106,16 @@ pub trait Rig: Send + Sync {
     /// Readability (display step) of the balance, mg, where known in advance.
     fn readability_mg(&self) -> Option<f64> {
         None
+    }
+
+    /// Reads, tares or zeroes the balance while nothing is dosed.
+    ///
+    /// # Errors
+    /// There is no balance between doses ([`DeviceError::Unsupported`]), a dose or a pile has the
+    /// devices ([`DeviceError::Forbidden`]), or the balance failed; it may then have tared.
+    fn balance(&self, _order: Order) -> Result<Shown, DeviceError> {
+        let cause = "it exists only while a dose is simulated".to_owned();
+        Err(DeviceError::Unsupported { device: "the simulated balance", cause })
     }
 
     /// Whether earlier doses of a powder may inform the forecast; not where a dose must follow from

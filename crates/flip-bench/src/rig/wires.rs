@@ -5,7 +5,7 @@ use crate::hardware::arm::Stopper;
 use crate::hardware::wire::Recorder;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
 
 /// The connections of a rig.
 #[derive(Default)]
@@ -31,6 +31,15 @@ impl Wires {
         let floor = locked(&self.floor);
         self.halted.store(false, Ordering::SeqCst);
         floor
+    }
+
+    /// Takes the floor if nobody has it. What holds it moves nothing, so that a stop is not for it.
+    pub fn floor_if_free(&self) -> Option<MutexGuard<'_, ()>> {
+        match self.floor.try_lock() {
+            Ok(floor) => Some(floor),
+            Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => None,
+        }
     }
 
     /// Devices are open.

@@ -26,6 +26,13 @@ impl Labels {
         self.0.is_empty()
     }
 
+    /// Without blanks around the values, as they are looked for.
+    #[must_use]
+    pub fn trimmed(mut self) -> Self {
+        self.0.values_mut().for_each(|value| *value = value.trim().to_owned());
+        self
+    }
+
     /// With the caller's own id of the request, unless it names one itself.
     #[must_use]
     pub fn correlated(mut self, id: Option<&str>) -> Self {
@@ -129,6 +136,14 @@ mod tests {
         assert_eq!(fields(&labels(&[(&"k".repeat(64), "a")])), ["labels"]);
         assert_eq!(fields(&labels(&[("k", "a\nb")])), ["labels.k"]);
         assert_eq!(fields(&labels(&[("k", &"v".repeat(256))])), ["labels.k"]);
+    }
+
+    #[test]
+    fn a_value_is_found_as_it_is_typed_with_and_without_blanks() {
+        let kept = labels(&[("study", " X 2 ")]).trimmed();
+        for typed in ["study:X 2", "study: X 2", " study :X 2 "] {
+            assert!(LabelWanted::parsed("label", typed).unwrap().is_among(&kept), "{typed}");
+        }
     }
 
     #[test]

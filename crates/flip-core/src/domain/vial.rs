@@ -272,11 +272,7 @@ impl Pan {
     #[must_use]
     pub fn after(&self, dosed: &Dosed) -> Self {
         let tare_mg = dosed.tare_mg;
-        let alike_mg = (STEPS_ALIKE * dosed.step_mg).max(WANDER_MG);
-        let same = self
-            .vial
-            .as_ref()
-            .filter(|_| self.shown_mg.is_some_and(|mg| (mg - tare_mg).abs() <= alike_mg));
+        let same = self.vial.as_ref().filter(|_| self.is_where_it_was(tare_mg, dosed.step_mg));
         let before_mg = same.map_or(Some(0.0), |vial| vial.holds_mg);
         let vial = Vial {
             name: dosed.vial.clone().or_else(|| same.and_then(|vial| vial.name.clone())),
@@ -311,6 +307,34 @@ impl Pan {
             // A new origin: earlier vials cannot be compared with it.
             _ => (tare_mg, Vec::new()),
         }
+    }
+
+    /// The state while the balance is being tared or zeroed between doses: what its zero stands for
+    /// is unknown, also if the process ends.
+    #[must_use]
+    pub fn being_zeroed(&self) -> Self {
+        Self { zero_mg: None, shown_mg: None, ..self.clone() }
+    }
+
+    /// The state after the balance was tared or zeroed between doses, where it showed this before,
+    /// mg. The vial stays what it is if that is where it was left.
+    #[must_use]
+    pub fn zeroed(&self, before_mg: f64, readability_mg: Option<f64>) -> Self {
+        let step_mg = readability_mg.unwrap_or_default();
+        let same = self.is_where_it_was(before_mg, step_mg);
+        let (zero_mg, empties_mg) = self.zero_after(before_mg);
+        Self {
+            vial: self.vial.clone().filter(|_| same),
+            zero_mg: Some(zero_mg),
+            shown_mg: same.then_some(0.0),
+            empties_mg,
+        }
+    }
+
+    /// Whether the display is where the last dose left it.
+    fn is_where_it_was(&self, shown_mg: f64, step_mg: f64) -> bool {
+        let alike_mg = (STEPS_ALIKE * step_mg).max(WANDER_MG);
+        self.shown_mg.is_some_and(|mg| (mg - shown_mg).abs() <= alike_mg)
     }
 
     /// The state after a person has emptied or exchanged the vial; the display continues from where
@@ -416,6 +440,27 @@ mod tests {
         assert_eq!(lost.check(1.0, None), PanCheck::NONE);
         assert_eq!(lost.after(&dosed(12_001.0, 5.0, "B")).empties_mg.len(), 6);
         assert_eq!(lost.after(&dosed(33.0, 5.0, "B")).empties_mg, [33.0]);
+    }
+
+    #[test]
+    fn a_vial_tared_between_doses_stays_that_vial_and_another_one_does_not() {
+        let lab = EmptyVial { empty_mg: 12_000.0, spread_mg: 15.0 };
+        let pan = after(&[(11_999.0, 8.0)]);
+        assert_eq!(pan.being_zeroed().check(1.0, None), PanCheck::NONE);
+        let same = pan.zeroed(9.0, Some(1.0));
+        assert_eq!((same.shown_mg, same.zero_mg), (Some(0.0), Some(12_008.0)));
+        assert_eq!(same.vial, pan.vial);
+        let check = same.check(1.0, Some(lab));
+        assert_eq!(check.flaw(1.0), Some(VialFlaw::SameAsBefore { shown_mg: 1.0 }));
+        assert_eq!(check.flaw(-12.0), None, "an empty vial");
+        // What is tared is twice tared, and the vial is known by the same display.
+        assert_eq!(same.zeroed(0.0, Some(1.0)).check(1.0, None), same.check(1.0, None));
+        // The vial was taken away, the empty pan was zeroed, and an empty vial was put on.
+        let bare = pan.zeroed(-11_999.0, None);
+        assert_eq!((&bare.vial, bare.shown_mg, bare.zero_mg), (&None, None, Some(0.0)));
+        assert_eq!(bare.check(1.0, Some(lab)).flaw(12_003.0), None);
+        let heavier = bare.check(1.0, Some(lab)).flaw(12_020.0);
+        assert_eq!(heavier, Some(VialFlaw::NotEmpty { over_mg: 5.0 }));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Every list of a data folder in files, for `flip export`.
+//! Every list of a data folder or of a server in files, for `flip export`.
 //!
 //! The lists are asked for as a viewer would ask over REST, so the files have the same columns as
 //! `?format=csv` and nothing that a viewer may not see.
@@ -9,7 +9,6 @@ use crate::api::auth::Caller;
 use crate::app::App;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
-use axum::http::StatusCode;
 use axum::{Extension, Router};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -19,6 +18,9 @@ use std::path::{Path, PathBuf};
 use tower::ServiceExt;
 
 pub use super::Format;
+
+/// Lists for admins alone, which are no results.
+const OF_ADMINS: [&str; 2] = ["/v1/tokens", "/v1/webhooks"];
 
 /// What an export wrote.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -48,11 +50,41 @@ pub enum ExportError {
         /// The list.
         path: String,
         /// The answer's status.
-        status: StatusCode,
+        status: u16,
     },
     /// A list has no table.
     #[error("{0}")]
     Broken(axum::BoxError),
+}
+
+/// Where the lists are asked for.
+pub trait Source {
+    /// Status and body of the answer to a GET of a path.
+    ///
+    /// # Errors
+    /// There is no answer.
+    fn get(&self, target: &str) -> impl Future<Output = Result<(u16, Vec<u8>), ExportError>>;
+}
+
+/// The lists of a data folder.
+pub struct Folder(Router);
+
+impl Folder {
+    /// Those of the folder that this application has open.
+    pub fn of(app: App) -> Self {
+        Self(super::super::router(app).layer(Extension(Caller::Anonymous { may_read: true })))
+    }
+}
+
+impl Source for Folder {
+    async fn get(&self, target: &str) -> Result<(u16, Vec<u8>), ExportError> {
+        let request = Request::get(target).body(Body::empty());
+        let request = request.map_err(|error| ExportError::Broken(error.into()))?;
+        let Ok(response) = self.0.clone().oneshot(request).await;
+        let status = response.status().as_u16();
+        let bytes = to_bytes(response.into_body(), PAGE_BYTES_MAX).await;
+        Ok((status, bytes.map_err(|error| ExportError::Broken(error.into()))?.into()))
+    }
 }
 
 /// Writes every list into a table, and every policy's file, into the folder `out`, which appears
@@ -61,7 +93,7 @@ pub enum ExportError {
 /// # Errors
 /// [`ExportError`]; `out` must not exist, or be empty.
 pub async fn export(
-    app: App,
+    source: impl Source,
     out: &Path,
     format: Format,
     mut told: impl FnMut(&str),
@@ -77,7 +109,7 @@ pub async fn export(
     }
     create_dir_all(part.join("policies")).map_err(unwritable)?;
     let mut export = Export {
-        router: super::super::router(app).layer(Extension(Caller::Anonymous { may_read: true })),
+        source,
         folder: part.clone(),
         format,
         done: Exported {
@@ -90,7 +122,10 @@ pub async fn export(
     let mut schema = serde_json::Map::new();
     let paths = DOCUMENT["paths"].as_object().into_iter().flat_map(|paths| paths.keys());
     // `audit.json` is `audit` in one piece.
-    for path in paths.filter(|path| !path.contains('.') && is_list(&DOCUMENT, path)) {
+    let exported = |path: &&String| {
+        !path.contains('.') && !OF_ADMINS.contains(&path.as_str()) && is_list(&DOCUMENT, path)
+    };
+    for path in paths.filter(exported) {
         if let Some((file, columns)) = export.table(path).await? {
             told(&file);
             schema.insert(file, columns);
@@ -104,16 +139,16 @@ pub async fn export(
     Ok(export.done)
 }
 
-struct Export {
-    router: Router,
+struct Export<S> {
+    source: S,
     folder: PathBuf,
     format: Format,
     done: Exported,
 }
 
-impl Export {
+impl<S: Source> Export<S> {
     /// Writes the list at a path, or the lists of that kind that all things have, and returns the
-    /// file's name and columns; `None` for what a viewer may not see.
+    /// file's name and columns; `None` for what is no table.
     async fn table(&mut self, path: &str) -> Result<Option<(String, Value)>, ExportError> {
         let Some(mut columns) = columns(&DOCUMENT, path) else { return Ok(None) };
         let (list, inside) = path.split_once("/{id}").unwrap_or((path, ""));
@@ -138,7 +173,6 @@ impl Export {
             loop {
                 let (mut page, next) = match self.page(&path, after.as_deref()).await? {
                     Answer::Page(page, next) => (page, next),
-                    Answer::Forbidden => return Ok(None),
                     Answer::Lost => {
                         self.done.lost.push(path.clone());
                         break;
@@ -208,14 +242,14 @@ impl Export {
     async fn policies(&mut self) -> Result<(), ExportError> {
         for id in self.ids("/v1/policies").await? {
             let path = format!("/v1/policies/{id}/weights");
-            match self.get(&path).await? {
-                (StatusCode::OK, bytes) => {
+            match self.source.get(&path).await? {
+                (200, bytes) => {
                     let target = self.folder.join("policies").join(format!("{id}.safetensors"));
                     write(&target, bytes)
                         .map_err(|error| ExportError::Unwritable(target.clone(), error))?;
                     self.done.policies += 1;
                 }
-                (StatusCode::GONE, _) => self.done.lost.push(path),
+                (410, _) => self.done.lost.push(path),
                 (status, _) => return Err(ExportError::Refused { path, status }),
             }
         }
@@ -241,11 +275,10 @@ impl Export {
         if let Some(after) = after {
             query.append_pair("after", after);
         }
-        let (status, bytes) = self.get(&format!("{path}?{}", query.finish())).await?;
+        let (status, bytes) = self.source.get(&format!("{path}?{}", query.finish())).await?;
         match status {
-            StatusCode::OK => {}
-            StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => return Ok(Answer::Forbidden),
-            StatusCode::GONE | StatusCode::NOT_FOUND => return Ok(Answer::Lost),
+            200 => {}
+            404 | 410 => return Ok(Answer::Lost),
             status => return Err(ExportError::Refused { path: path.to_owned(), status }),
         }
         let answer = serde_json::from_slice(&bytes).map_err(|it| ExportError::Broken(it.into()))?;
@@ -258,20 +291,10 @@ impl Export {
             }
         })
     }
-
-    async fn get(&self, target: &str) -> Result<(StatusCode, Vec<u8>), ExportError> {
-        let request = Request::get(target).body(Body::empty());
-        let request = request.map_err(|error| ExportError::Broken(error.into()))?;
-        let Ok(response) = self.router.clone().oneshot(request).await;
-        let status = response.status();
-        let bytes = to_bytes(response.into_body(), PAGE_BYTES_MAX).await;
-        Ok((status, bytes.map_err(|error| ExportError::Broken(error.into()))?.into()))
-    }
 }
 
 enum Answer {
     Page(Vec<Value>, Option<String>),
-    Forbidden,
     Lost,
 }
 

@@ -33,8 +33,8 @@ pub use fault::Fault;
 
 use super::pan::Pan;
 use super::port::Port;
-use crate::hardware::balance::Dialect;
 use crate::hardware::balance::value::Unit;
+use crate::hardware::balance::{self as driver, Dialect};
 use cell::Cell;
 use fault::Faults;
 use flip_core::domain::{FieldError, bounded};
@@ -79,6 +79,14 @@ pub struct Settings {
     pub slow_reply_ms: u64,
     /// Seed of the noise and of the flag's timing. Default 0.
     pub seed: u64,
+}
+
+impl Settings {
+    /// FLIP's settings for this balance at an address.
+    pub fn found_at(&self, address: &str) -> driver::Settings {
+        let readability_mg = Some(self.readability_mg);
+        driver::Settings { readability_mg, ..driver::Settings::new(self.dialect, address) }
+    }
 }
 
 impl Default for Settings {

@@ -1,4 +1,4 @@
-//! `flip repose`: the heap experiment, repeated over seeds in parallel.
+//! `flip heap`: the heap experiment, repeated over seeds in parallel.
 
 use super::failure::Failure;
 use super::{Common, parameters, view};
@@ -31,7 +31,7 @@ enum CompatFlag {
     Physx,
 }
 
-/// Arguments of `flip repose`.
+/// Arguments of `flip heap`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     /// Grains to pour, 200 to 20000; a heap that does not cover its base is refused.
@@ -70,7 +70,7 @@ pub(super) struct Arguments {
     parameters: parameters::Flags,
 }
 
-/// The document of `flip repose`: it contains no times and no thread count, so equal inputs give
+/// The document of `flip heap`: it contains no times and no thread count, so equal inputs give
 /// equal bytes.
 #[derive(Debug, Serialize)]
 struct Document {
