@@ -91,6 +91,8 @@ RETRIED = frozenset({408, 425, 429, 500, 502, 503, 504})
 PAUSE_MAX_S = 5.0
 #: How often a wait looks at the bench, s: what is held there moves nothing, so the stream stays silent.
 LOOK_S = 10.0
+#: Longest wait for what a stream still has of something that has ended, s.
+REST_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,10 +213,12 @@ def wait_for_weighing(
     """Waits until a weighing has ended."""
     ends = Ends(ENDED_WEIGHING, see)
     began = time.monotonic()
+    path = f"/v1/weighings/{it.id}/events"
     while True:
-        yield from follow(f"/v1/weighings/{it.id}/events", ends, _left(began, timeout_s))
+        yield from follow(path, ends, _left(began, timeout_s))
         it = yield from weighing(it.id, retries)
         if it.ended:
+            yield from rest(path, ends)
             return it
         if timeout_s is not None and time.monotonic() - began >= timeout_s:
             raise StillRunningError(it, timeout_s)
@@ -228,9 +232,12 @@ def wait_for_job(id: str, timeout_s: float | None, see: Callable[[Event], None] 
     """Waits until a job has succeeded."""
     ends = Ends(ENDED_JOB, see)
     began = time.monotonic()
+    path = f"/v1/jobs/{id}/events"
     while True:
-        yield from follow(f"/v1/jobs/{id}/events", ends, _left(began, timeout_s))
+        yield from follow(path, ends, _left(began, timeout_s))
         job = Job.of((yield from get(f"/v1/jobs/{id}", retries)))
+        if job.ended:
+            yield from rest(path, ends)
         if job.state == "succeeded":
             return job
         if job.ended:
@@ -252,6 +259,7 @@ class Ends:
         self.seq = 0
         self.pause_s = 0.2
         self.refused = False
+        self.over = False
 
     def look(self, event: Event) -> None:
         """Takes note of an event and passes it on."""
@@ -266,12 +274,19 @@ def follow(path: str, ends: Ends, seconds: float) -> Flow[None]:
         followed: Followed = yield Follow(path, ends.seq, seconds, ends.look)
         # Too many streams, a proxy that knows none, an older service: read instead.
         ends.refused = followed.status is not None and followed.status >= 400
+        ends.over = followed.ended
         if followed.ended or (followed.seen and not ends.refused):
             return
     pause_s = min(ends.pause_s, seconds)
     ends.pause_s = min(ends.pause_s * 1.5, 2.0)
     if pause_s > 0.0:
         yield Pause(pause_s)
+
+
+def rest(path: str, ends: Ends) -> Flow[None]:
+    """Passes on what a stream still has of something that ended while nobody followed it."""
+    if ends.see and not ends.over and not ends.refused:
+        yield Follow(path, ends.seq, REST_S, ends.look)
 
 
 def page(path: str, params: Mapping[str, Any], retries: Retries) -> Flow[tuple[list[Mapping[str, Any]], str | None]]:

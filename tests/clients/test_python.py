@@ -140,7 +140,7 @@ class Client(unittest.TestCase):
         secret = self.service.secrets[service.OPERATOR]
         found = service.drive(self.python, "with_python_client.py", self.service.url, secret, service.POWDER)
         self.assertEqual(found["dose"], {"outcome": found["dose"]["outcome"], "state": "done", "vial": "A1", "lot": "L7"})
-        for name in ("close", "events", "events_again", "same_key", "uncalibrated", "trace", "token_is_secret", "async_events", "async_list", "generated"):
+        for name in ("close", "events", "events_again", "hasty_events", "same_key", "uncalibrated", "trace", "token_is_secret", "async_events", "async_list", "generated"):
             self.assertTrue(found[name], name)
         self.assertEqual(found["ticks"], [True, True])
         self.assertEqual(found["stop_of_an_ended_one"], "done")

@@ -257,15 +257,25 @@ class Killed(unittest.TestCase):
             self.assertEqual(drive(python, "with_sila2.py", "attempt", *service.sila, "killed-dose")["value"], begun["uuid"])
             latched = drive(python, "with_sila2.py", "attempt", *service.sila, "another-dose")["error"]
             self.assertEqual(latched["identifier"], defined("BenchLatched"))
+            balance = drive(python, "with_sila2.py", "balance", *service.sila)
+            self.assertIn("value", balance["Read"], "reading moves nothing")
+            self.assertEqual(balance["Tare"]["error"]["identifier"], "flip/weighing/BalanceReading/v1/DefinedExecutionError/BenchLatched")
             self.assertEqual(service.get("/v1/weighings")["total"], 1)
 
     def test_an_emulated_bench_measures_an_angle_and_gives_its_frames(self):
         python = environment(*SILA2)
         with Service.ready(*PLAIN, "--bench", "emulated") as service:
             found = drive(python, "with_sila2.py", "measure", *service.sila)
+            balance = drive(python, "with_sila2.py", "balance", *service.sila)
         self.assertIn("value", found, found)
         self.assertGreater(found["value"]["angle"], 10)
         self.assertGreater(found["value"]["frame"], 1000)
+        # An empty vial of 12 g stands on it, beyond its zero range.
+        self.assertAlmostEqual(balance["Read"]["value"]["Mass"], 12000, delta=20)
+        self.assertAlmostEqual(balance["Tare"]["value"]["Mass"], 0, delta=3)
+        self.assertTrue(balance["Tare"]["value"]["Stable"])
+        self.assertEqual(balance["Zero"]["error"]["identifier"], "flip/weighing/BalanceReading/v1/DefinedExecutionError/BalanceFailed")
+        self.assertAlmostEqual(balance["after"]["value"]["Mass"], 0, delta=3)
 
 
 class Definitions(unittest.TestCase):

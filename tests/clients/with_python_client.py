@@ -5,6 +5,7 @@ import inspect
 import json
 import sys
 import typing
+from unittest import mock
 
 import httpx
 
@@ -41,6 +42,11 @@ with Client(url, token) as flip:
     found["ticks"] = [len(dose.ticks) > 2, dose.ticks[-1].reading.mass_mg == dose.reading_mg]
     found["events"] = {kind for kind in ("state", "tick") if any(event.kind == kind for event in events)} == {"state", "tick"}
     found["events_again"] = [event.seq for event in flip.events(dose)] == [event.seq for event in events]
+    # One that looks elsewhere between any two events sees the end there, and still misses none.
+    with mock.patch.object(flip_powder._flow, "LOOK_S", 0.02):
+        hasty: list[flip_powder.Event] = []
+        second = flip.weigh(powder, "12 mg", tolerance="3 mg", on_event=hasty.append)
+    found["hasty_events"] = [event.seq for event in flip.events(second)] == [event.seq for event in hasty]
     found["stop_of_an_ended_one"] = flip.stop(dose).state
     before = len(list(flip.weighings()))
     with Client(url, token, transport=(deaf := Deaf())) as half:

@@ -131,6 +131,12 @@ def do_bench(client):
             "powders": client.PowderWeighing.Powders.get()}
 
 
+def do_balance(client):
+    def asked(name):
+        return attempt(lambda: getattr(client.BalanceReading, name)()._asdict())
+    return {name: asked(name) for name in ("Read", "Tare", "Zero")} | {"after": asked("Read")}
+
+
 def do_stop(client):
     stopped = client.BenchControl.Stop(Person="Ada").State
     return {"stopped": stopped, "resumed": client.BenchControl.Resume(Person="Ada", Note="").State}
