@@ -4,7 +4,7 @@ use super::row::Columns;
 use super::{Result, Store, now};
 use flip_core::domain::job::{JobKind, JobState};
 use flip_core::domain::weighing::{Outcome, WeighingState};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// Counts of jobs and weighings; zero counts are omitted.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,11 +41,11 @@ impl Store {
     }
 }
 
-fn job(row: &SqliteRow) -> Result<((JobKind, JobState), u32)> {
+fn job(row: &AnyRow) -> Result<((JobKind, JobState), u32)> {
     Ok(((row.word("job", "kind")?, row.word("job", "state")?), row.count("n")?))
 }
 
-fn weighing(row: &SqliteRow) -> Result<((WeighingState, Option<Outcome>), u32)> {
+fn weighing(row: &AnyRow) -> Result<((WeighingState, Option<Outcome>), u32)> {
     let state = row.word("weighing", "state")?;
     Ok(((state, row.maybe_word("weighing", "outcome")?), row.count("n")?))
 }

@@ -1,6 +1,6 @@
 //! Health of the store: whether it can work now, for monitoring.
 
-use super::open::connection_that_gives_up;
+use super::sqlite::connection_that_gives_up;
 use super::{Error, Result, Store};
 use serde::Serialize;
 use sqlx::{ConnectOptions, Connection};
@@ -78,6 +78,11 @@ impl Store {
     /// Uses its own connection. If the last transaction failed, one is written to see whether it
     /// still fails.
     async fn begin_and_end(&self) -> Result<()> {
+        if let Some(server) = &self.server {
+            server.try_to_write().await?;
+            self.note_written(None);
+            return Ok(());
+        }
         let failed = self.failed_last();
         let mut connection = connection_that_gives_up(self.place.path()).connect().await?;
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
@@ -129,12 +134,13 @@ impl Store {
 mod tests {
     use super::*;
     use crate::place::Place;
+    use crate::testing;
     use std::path::Path;
 
     #[tokio::test]
     async fn a_full_disk_is_told_with_what_is_free_and_what_is_needed() {
         let folder = tempfile::tempdir().unwrap();
-        let mut store = Store::open(folder.path()).await.unwrap();
+        let mut store = testing::open(folder.path()).await.unwrap();
         assert_eq!(store.health().await.disk, Check { ok: true, why: None });
         // A file system without any room.
         store.place = Place::of(Path::new("/proc/version")).unwrap();
