@@ -447,6 +447,7 @@ CREATE INDEX kept_policy_id ON kept_policy (id);
 CREATE TABLE installation (
     id TEXT COLLATE "C" NOT NULL PRIMARY KEY CHECK (length(id) = 36)
 );
+INSERT INTO installation VALUES (gen_random_uuid()::text);
 
 CREATE TABLE node_action (
     id         TEXT COLLATE "C" NOT NULL PRIMARY KEY CHECK (length(id) = 26),

@@ -17,6 +17,8 @@ pub mod bench;
 pub mod checklist;
 pub mod counts;
 pub mod current_simulator;
+#[cfg(test)]
+mod either_tests;
 mod error;
 pub mod evaluations;
 pub mod events;
@@ -107,14 +109,20 @@ impl Store {
     pub async fn write(&self) -> Result<Tx> {
         let writer = self.writer()?;
         self.place.check()?;
-        let begun = writer.begin_with(self.begin()).await.map_err(Error::from);
+        let begun = self.begin(writer).await;
         let inner = begun.inspect_err(|error| self.note_written(Some(error)))?;
         Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
     }
 
-    /// How a transaction that writes begins: with the lock that only one has.
-    fn begin(&self) -> &'static str {
-        if self.is_postgres() { postgres::BEGIN } else { "BEGIN IMMEDIATE" }
+    /// Begin with the lock that only one transaction has.
+    async fn begin(&self, writer: &AnyPool) -> Result<Transaction<'static, Any>> {
+        if !self.is_postgres() {
+            return Ok(writer.begin_with("BEGIN IMMEDIATE").await?);
+        }
+        // In two steps: a transaction that does not get the lock must be rolled back.
+        let mut begun = writer.begin_with(postgres::BEGIN).await?;
+        postgres::lock(&mut begun).await?;
+        Ok(begun)
     }
 
     fn is_postgres(&self) -> bool {

@@ -18,14 +18,8 @@ const CHANNEL: &str = "flip_event";
 /// How often events are looked for all the same: a lost connection tells nothing.
 const POLL: Duration = Duration::from_secs(1);
 
-/// How a transaction that writes begins. It takes the one lock of all writers, as in SQLite: what
-/// it reads stays true until it has written, events become visible in the order of their numbers,
-/// and the audit trail is one chain. The snapshots of `READ COMMITTED` begin after the lock.
-pub(super) const BEGIN: &str =
-    "BEGIN ISOLATION LEVEL READ COMMITTED; SELECT pg_advisory_xact_lock(5065680);";
-/// As [`BEGIN`], for a health check, which does not wait long.
-const BEGIN_OR_GIVE_UP: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL lock_timeout = '250ms'; \
-     SELECT pg_advisory_xact_lock(5065680);";
+/// How a transaction that writes begins; [`lock`] follows.
+pub(super) const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED";
 /// What a committed transaction says must survive a power cut; settings that promise more stay.
 const TO_WRITE: &str = "SET lock_timeout = '5s'; \
      SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'";
@@ -50,6 +44,19 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.stop_following();
     }
+}
+
+/// Take the one lock of all writers, until the transaction ends. So there is one writer at a time, as
+/// in SQLite: what it reads stays true until it has written, events become visible in the order of
+/// their numbers, and the audit trail is one chain. What it reads from here on is younger than the
+/// lock, because `READ COMMITTED` looks anew at each statement.
+///
+/// # Errors
+/// [`Error::Locked`] when it is not free within the connection's timeout.
+pub(super) async fn lock(connection: &mut AnyConnection) -> Result<()> {
+    // The letters "FLIP".
+    connection.execute("SELECT pg_advisory_xact_lock(1179404624)").await?;
+    Ok(())
 }
 
 impl Server {
@@ -78,7 +85,9 @@ impl Server {
     /// [`Error::Locked`], [`Error::Unreachable`] and others.
     pub async fn try_to_write(&self) -> Result<()> {
         let mut connection = AnyConnection::connect_with(&self.options).await?;
-        let mut transaction = connection.begin_with(BEGIN_OR_GIVE_UP).await?;
+        let mut transaction = connection.begin_with(BEGIN).await?;
+        transaction.execute("SET LOCAL lock_timeout = '250ms'").await?;
+        lock(&mut transaction).await?;
         // A server that only follows another one refuses to number a transaction.
         transaction.execute("SELECT pg_current_xact_id()::text").await?;
         transaction.rollback().await?;
@@ -181,4 +190,132 @@ fn set_up(options: AnyPoolOptions, settings: &'static str) -> AnyPoolOptions {
     options.after_connect(move |connection, _| {
         Box::pin(async move { connection.execute(settings).await.map(drop) })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Store, now, testing};
+    use sqlx::{AssertSqlSafe, Row};
+    use std::collections::BTreeMap;
+
+    /// A cluster, whatever the other tests run on; `None`, and why, where there is none.
+    fn cluster() -> Option<&'static testing::Cluster> {
+        testing::cluster().inspect_err(|why| println!("left out: {why}")).ok()
+    }
+
+    #[tokio::test]
+    async fn both_databases_have_the_same_tables_columns_and_indexes() {
+        let Some(cluster) = cluster() else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let (ours, theirs) = (folder.path().join("sqlite"), folder.path().join("postgres"));
+        let ours = Store::open(&ours).await.unwrap();
+        let theirs = Store::open_on(&cluster.database_of(&theirs).await, &theirs).await.unwrap();
+        let columns = async |store: &Store, sql: &'static str| -> BTreeMap<String, Vec<String>> {
+            let mut found = BTreeMap::<_, Vec<_>>::new();
+            for row in sqlx::query(sql).fetch_all(&store.reader).await.unwrap() {
+                found.entry(row.get::<String, _>(0)).or_default().push(row.get::<String, _>(1));
+            }
+            found.values_mut().for_each(|columns| columns.sort());
+            found
+        };
+        let sqlite = "SELECT s.name, c.name FROM sqlite_schema s, pragma_table_info(s.name) c \
+                      WHERE s.type IN ('table', 'view') AND s.name NOT LIKE '%sqlite%' AND s.name NOT LIKE '%sqlx%'";
+        let postgres = "SELECT table_name::text, column_name::text FROM information_schema.columns \
+                        WHERE table_schema = 'public' AND table_name NOT LIKE '%sqlx%'";
+        assert_eq!(columns(&ours, sqlite).await, columns(&theirs, postgres).await);
+        let sqlite =
+            "SELECT tbl_name, name FROM sqlite_schema WHERE type = 'index' AND sql IS NOT NULL";
+        let postgres = "SELECT tablename::text, indexname::text FROM pg_indexes WHERE schemaname = 'public' \
+                        AND indexname NOT LIKE '%\\_key' AND indexname NOT LIKE '%\\_pkey'";
+        assert_eq!(columns(&ours, sqlite).await, columns(&theirs, postgres).await);
+    }
+
+    #[tokio::test]
+    async fn events_of_other_processes_are_heard_and_a_lock_is_waited_for() {
+        let Some(cluster) = cluster() else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let url = cluster.database_of(folder.path()).await;
+        let store = Store::open_on(&url, folder.path()).await.unwrap();
+        let mut heard = store.watch_events();
+        let mut other = PgConnection::connect(&url).await.unwrap();
+        let before = *heard.borrow_and_update();
+        for _ in 0..2 {
+            let mut tx = other.begin_with(BEGIN).await.unwrap();
+            tx.execute("SELECT pg_advisory_xact_lock(1179404624)").await.unwrap();
+            let insert =
+                "INSERT INTO event (topic, kind, data, at) VALUES ('bench', 'held', '{}', 0)";
+            tx.execute(insert).await.unwrap();
+            assert!(
+                !store.health().await.database.ok,
+                "another process writes, and takes its time"
+            );
+            tx.commit().await.unwrap();
+            let soon = tokio::time::timeout(POLL * 5, heard.changed()).await;
+            soon.expect("heard").unwrap();
+        }
+        assert_eq!(*heard.borrow_and_update(), before + 2);
+        let mut tx = other.begin_with(BEGIN).await.unwrap();
+        tx.execute("SELECT pg_advisory_xact_lock(1179404624)").await.unwrap();
+        sqlx::query("SET lock_timeout = '50ms'").execute(store.writer().unwrap()).await.unwrap();
+        assert!(matches!(store.write().await, Err(Error::Locked)));
+        tx.rollback().await.unwrap();
+        let mut tx = store.write().await.unwrap();
+        tx.emit("bench", "held", &serde_json::json!({})).await.unwrap();
+        tx.commit().await.unwrap();
+        assert!(*heard.borrow_and_update() > before + 2);
+        store.close().await;
+        let error = store.write().await.unwrap_err();
+        assert!(error.is_closed(), "{error}");
+    }
+
+    #[tokio::test]
+    async fn a_record_survives_a_writer_that_is_cut_off_and_a_newer_database_is_refused() {
+        let Some(cluster) = cluster() else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let url = cluster.database_of(folder.path()).await;
+        let store = Store::open_on(&url, folder.path()).await.unwrap();
+        let mut other = PgConnection::connect(&url).await.unwrap();
+        let cut = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
+                   WHERE datname = current_database() AND pid <> pg_backend_pid()";
+        let mut tx = store.write().await.unwrap();
+        tx.audit_person(None, "looked", now()).await.unwrap();
+        other.execute(cut).await.unwrap();
+        let refused = tx.commit().await.unwrap_err();
+        assert!(matches!(refused, Error::Unreachable(_)), "{refused:?}");
+        let mut tx = store.write().await.unwrap();
+        tx.audit_person(None, "looked again", now()).await.unwrap();
+        tx.commit().await.unwrap();
+        let found = store.verify_audit(None).await.unwrap();
+        assert_eq!((found.records, found.broken), (3, None));
+        store.close().await;
+        drop(store);
+        let newer = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
+                     VALUES (99, 'later', true, ''::bytea, 0)";
+        other.execute(newer).await.unwrap();
+        let refused = Store::open_on(&url, folder.path()).await.err();
+        assert!(matches!(refused, Some(Error::Newer(99))), "{refused:?}");
+        let refused = Store::open_on("mysql://root@localhost/x", folder.path()).await.err();
+        assert!(matches!(refused, Some(Error::Server(_))), "{refused:?}");
+    }
+
+    #[tokio::test]
+    async fn a_committed_transaction_is_on_the_disk() {
+        let Some(cluster) = cluster() else { return };
+        let folder = tempfile::tempdir().unwrap();
+        let url = cluster.database_of(folder.path()).await;
+        let mut other = PgConnection::connect(&url).await.unwrap();
+        let name: String = sqlx::query_scalar("SELECT current_database()::text")
+            .fetch_one(&mut other)
+            .await
+            .unwrap();
+        let careless = format!("ALTER DATABASE {name} SET synchronous_commit = off");
+        other.execute(AssertSqlSafe(careless)).await.unwrap();
+        let store = Store::open_on(&url, folder.path()).await.unwrap();
+        let set: String = sqlx::query_scalar("SELECT current_setting('synchronous_commit')")
+            .fetch_one(store.writer().unwrap())
+            .await
+            .unwrap();
+        assert_eq!(set, "on");
+    }
 }

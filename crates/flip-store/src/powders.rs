@@ -103,9 +103,9 @@ impl Store {
 
     /// What was said of the solubility of powders, by id.
     pub async fn said_of_solubility(&self) -> Result<Vec<(String, bool)>> {
-        Ok(sqlx::query_as("SELECT id, soluble FROM powder WHERE soluble IS NOT NULL")
-            .fetch_all(&self.reader)
-            .await?)
+        let sql = "SELECT id, soluble FROM powder WHERE soluble IS NOT NULL";
+        let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
+        rows.iter().map(|row| Ok((row.plain("id")?, row.flag("soluble")?))).collect()
     }
 
     /// Id and name of every powder, oldest first.
