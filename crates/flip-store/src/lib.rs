@@ -161,7 +161,7 @@ impl Store {
     /// Idempotent.
     pub async fn close(&self) {
         if let Some(server) = &self.server {
-            server.stop_following();
+            server.close().await;
         }
         // Readers would block the checkpoint.
         self.reader.close().await;

@@ -51,18 +51,18 @@ impl Store {
     ///
     /// # Errors
     /// [`Error::Server`] if it cannot be used, [`Error::Unreachable`]; [`Error::Held`] while another
-    /// process has the folder; [`Error::Newer`], [`Error::Database`], [`Error::File`].
+    /// process has the folder or serves the database; [`Error::Newer`], [`Error::Database`], [`Error::File`].
     pub async fn open_on(database_url: &str, data_dir: &Path) -> Result<Self> {
         sound::make_folder(data_dir)?;
         let lock = DataLock::take(data_dir)?;
         let address = postgres::address(database_url)?;
-        postgres::prepare(database_url).await?;
+        let alone = postgres::prepare(database_url).await?;
         let writer = postgres::writer(address.clone()).await?;
         let pool = async |max| postgres::readers(address.clone(), connections(max)).await;
         let (reader, apart, long) =
             (pool(READERS).await?, pool(1).await?, pool(LONG_READERS).await?);
         let newest_event = watch::Sender::new(newest_event(&reader).await?);
-        let server = Server::new(address, newest_event.clone(), apart.clone());
+        let server = Server::new(address, alone, newest_event.clone(), apart.clone());
         let store = Self {
             reader,
             apart,

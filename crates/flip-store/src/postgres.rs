@@ -8,7 +8,7 @@ use sqlx::migrate::Migrator;
 use sqlx::postgres::{PgConnection, PgListener};
 use sqlx::{AnyConnection, AnyPool, Connection, Executor};
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{Mutex, watch};
 use tokio::task::AbortHandle;
 
 /// The oldest server that FLIP is tested with.
@@ -31,6 +31,8 @@ const TO_READ: &str =
 pub(super) struct Server {
     options: AnyConnectOptions,
     following: AbortHandle,
+    /// Holds the lock of the process that serves the database, until it is closed.
+    alone: Mutex<Option<PgConnection>>,
 }
 
 impl std::fmt::Debug for Server {
@@ -42,7 +44,7 @@ impl std::fmt::Debug for Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.stop_following();
+        self.following.abort();
     }
 }
 
@@ -60,8 +62,13 @@ pub(super) async fn lock(connection: &mut AnyConnection) -> Result<()> {
 }
 
 impl Server {
-    /// Follow the events of a database, also those that other processes write.
-    pub fn new(options: AnyConnectOptions, newest: watch::Sender<i64>, reader: AnyPool) -> Self {
+    /// Follow the events of a database that is [`prepare`]d, also those that other processes write.
+    pub fn new(
+        options: AnyConnectOptions,
+        alone: PgConnection,
+        newest: watch::Sender<i64>,
+        reader: AnyPool,
+    ) -> Self {
         let url = options.database_url.to_string();
         let following = tokio::spawn(async move {
             while !reader.is_closed() {
@@ -71,12 +78,17 @@ impl Server {
                 tokio::time::sleep(POLL).await;
             }
         });
-        Self { options, following: following.abort_handle() }
+        let alone = Mutex::new(Some(alone));
+        Self { options, following: following.abort_handle(), alone }
     }
 
-    /// End following events.
-    pub fn stop_following(&self) {
+    /// End following events, and let another process serve the database.
+    pub async fn close(&self) {
         self.following.abort();
+        let Some(alone) = self.alone.lock().await.take() else { return };
+        if let Err(error) = alone.close().await {
+            tracing::warn!(%error, "the server ends this process's lock when it finds it gone");
+        }
     }
 
     /// Begin a transaction that writes and roll it back, on a connection of its own.
@@ -120,19 +132,38 @@ pub(super) fn address(url: &str) -> Result<AnyConnectOptions> {
     url.parse().map_err(|_| Error::Server("its address is no URL".to_owned()))
 }
 
-/// Check the server, and bring the database to this program's schema.
+/// Check the server, lock the database against a second process that serves it, and bring it to this
+/// program's schema. The lock ends with the connection.
 ///
 /// # Errors
-/// [`Error::Server`], [`Error::Newer`], [`Error::Unreachable`], [`Error::Database`].
-pub(super) async fn prepare(url: &str) -> Result<()> {
+/// [`Error::Held`], [`Error::Server`], [`Error::Newer`], [`Error::Unreachable`],
+/// [`Error::Database`].
+pub(super) async fn prepare(url: &str) -> Result<PgConnection> {
     let mut connection = PgConnection::connect(url).await?;
     check_server(&mut connection).await?;
+    serve_alone(&mut connection).await?;
     let known = migrations();
     if let Some(newer) = newest_unknown(&mut connection, &known).await? {
         return Err(Error::Newer(newer));
     }
     known.run(&mut connection).await.map_err(sqlx::Error::from)?;
-    Ok(connection.close().await?)
+    Ok(connection)
+}
+
+/// What a process repairs when it starts (leases, interrupted doses) is sound only if it is alone.
+async fn serve_alone(connection: &mut PgConnection) -> Result<()> {
+    // The server may not have noticed yet that the process before has ended.
+    connection.execute("SET lock_timeout = '2s'").await?;
+    // The letters "FLIQ".
+    let locked = connection.execute("SELECT pg_advisory_lock(1179404625)").await;
+    match locked.map_err(Error::from) {
+        Err(Error::Locked) => {
+            let name = sqlx::query_scalar("SELECT current_database()::text");
+            let name: String = name.fetch_one(connection).await?;
+            Err(Error::Held(name.into()))
+        }
+        locked => locked.map(drop),
+    }
 }
 
 async fn check_server(connection: &mut PgConnection) -> Result<()> {
@@ -255,6 +286,9 @@ mod tests {
             soon.expect("heard").unwrap();
         }
         assert_eq!(*heard.borrow_and_update(), before + 2);
+        let elsewhere = tempfile::tempdir().unwrap();
+        let second = Store::open_on(&url, elsewhere.path()).await;
+        assert!(matches!(second, Err(Error::Held(_))), "{second:?}");
         let mut tx = other.begin_with(BEGIN).await.unwrap();
         tx.execute("SELECT pg_advisory_xact_lock(1179404624)").await.unwrap();
         sqlx::query("SET lock_timeout = '50ms'").execute(store.writer().unwrap()).await.unwrap();
