@@ -22,7 +22,7 @@ impl Store {
     pub async fn counts(&self) -> Result<Counts> {
         let sql = "SELECT kind, state, min(seq) AS seq, count(*) AS n FROM job GROUP BY kind, state ORDER BY kind, state";
         let jobs = sqlx::query(sql).fetch_all(&self.reader).await?;
-        let sql = "SELECT state, outcome, min(seq) AS seq, count(*) AS n FROM weighing GROUP BY state, outcome ORDER BY state, outcome";
+        let sql = "SELECT state, outcome, min(seq) AS seq, count(*) AS n FROM weighing GROUP BY state, outcome ORDER BY state, outcome NULLS FIRST";
         let weighings = sqlx::query(sql).fetch_all(&self.reader).await?;
         let sql = "SELECT (SELECT min(created_at) FROM job WHERE state = 'queued') AS job, \
                    (SELECT min(created_at) FROM weighing WHERE outcome IS NULL AND started_at IS NULL) AS weighing";

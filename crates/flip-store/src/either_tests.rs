@@ -4,15 +4,19 @@
 use crate::audit_search::AuditWanted;
 use crate::jobs::JobsWanted;
 use crate::labels::{ArchivedItems, Label, LabelKind, Shown};
+use crate::node_actions::Fate;
 use crate::page::{Page, Window};
+use crate::parameter_sets::NewSet;
 use crate::powders::Origin;
 use crate::spoonfuls::ShakesWanted;
+use crate::webhooks::Webhook;
 use crate::weighing_search::{WeighingSort, WeighingsWanted};
 use crate::weighings::Ending;
 use crate::{Store, now, testing};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::job::{JobKind, JobState, Subject};
 use flip_core::domain::labels::{LabelWanted, Labels};
+use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::{Flowability, Method};
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use tempfile::TempDir;
@@ -266,4 +270,103 @@ async fn a_measurement_is_withdrawn_and_the_one_before_it_counts_again() {
     let installation = store.installation().await.unwrap();
     assert_eq!(store.installation().await.unwrap(), installation);
     assert!(store.health().await.database.ok);
+}
+
+#[tokio::test]
+async fn what_jobs_save_comes_back_and_an_end_takes_its_files_along() {
+    let (_folder, store) = filled().await;
+    let (none, named) = ("0".repeat(64), store.artifacts().put(b"frame").unwrap());
+    let mut tx = store.write().await.unwrap();
+    let set = NewSet {
+        parameters: ParameterSet::from_unit([0.5; 9]),
+        repose_deg: 31.5,
+        repose_sd_deg: None,
+        runs: 3,
+        error_deg: 0.25,
+        simulator: None,
+    };
+    tx.insert_parameter_set("j-1", Some("salt"), 0, &set).await.unwrap();
+    let with_sd = NewSet { repose_sd_deg: Some(0.5), ..set };
+    tx.insert_parameter_set("j-1", Some("salt"), 1, &with_sd).await.unwrap();
+    let json = |text: &str| serde_json::from_str::<serde_json::Value>(text).unwrap();
+    let frames = serde_json::json!([{ "depth": named, "colour": none, "description": none }]);
+    let pile = serde_json::json!({ "number": 1, "at": now(), "measured": null, "refusal": "dark", "frames": frames });
+    tx.insert_pile("j-3", &serde_json::from_value(pile).unwrap()).await.unwrap();
+    let episode = r#"{"index":0,"level":0,"powder":"salt","parameter_set":"ps-1","target_mg":1,"dispensed_mg":1,
+                      "final_error_mg":0,"reward":1,"steps":1,"alpha":null,"critic_loss":null,"actor_loss":null}"#;
+    let episode = serde_json::from_str(episode).unwrap();
+    assert!(tx.insert_episode("j-1", &episode).await.unwrap());
+    assert!(!tx.insert_episode("j-1", &episode).await.unwrap(), "it is there already");
+    assert!(tx.insert_kept("j-1", 1, "p-2", b"weights").await.unwrap());
+    tx.insert_dose("j-1", "a", &7).await.unwrap();
+    for (position, n, mae_mg) in [(0, 3, 1.0), (1, 1, 2.0)] {
+        let row = format!(
+            r#"{{"controller":"c","powder":"salt","target_mg":1,"n":{n},"mae_mg":{mae_mg},"sd_mg":0,"bias_mg":0,"over_share":0,"zero_share":0,"shakes_mean":1}}"#
+        );
+        let row = serde_json::from_str(&row).unwrap();
+        tx.insert_evaluation_row("j-1", position, Some("p-1"), None, &row).await.unwrap();
+    }
+    tx.choose_simulator(None, Some("it is the base")).await.unwrap();
+    tx.create_node_action(&"A".repeat(26), "weigh", &json("{}")).await.unwrap();
+    tx.node_action_became(&"A".repeat(26), &Fate::Made("w-1".to_owned())).await.unwrap();
+    let hook = Webhook {
+        id: "wh-1".into(),
+        url: "http://a.example".into(),
+        created_at: now(),
+        failing_since: None,
+        error: None,
+    };
+    tx.insert_webhook(&hook, &[1; 32]).await.unwrap();
+    tx.webhook_failed("wh-1", "gone").await.unwrap();
+    tx.commit().await.unwrap();
+
+    let sets = store.sets_under("salt", None, window(5)).await.unwrap().items;
+    let deviations: Vec<_> = sets.iter().map(|set| set.repose_sd_deg).collect();
+    assert_eq!(deviations, [Some(0.5), None]);
+    assert_eq!(store.piles("j-3").await.unwrap().len(), 1);
+    assert_eq!(store.episodes("j-1", window(5)).await.unwrap().items.len(), 1);
+    let kept = store.kept_episodes(&["j-1", "j-2"]).await.unwrap();
+    assert_eq!(kept, [("j-1".to_owned(), 1, "p-2".to_owned())]);
+    assert_eq!(store.doses::<u32>("j-1").await.unwrap()["a"], 7);
+    assert_eq!(store.best_policy("salt", None, "p-1").await.unwrap().as_deref(), Some("p-1"));
+    let evaluated = store.policy("p-1").await.unwrap().unwrap().evaluated;
+    assert_eq!((evaluated[0].mae_mg, evaluated[0].n), (1.25, 4));
+    assert_eq!(store.running_node_actions().await.unwrap(), ["A".repeat(26)]);
+    assert!(store.webhooks().await.unwrap()[0].webhook.failing_since.is_some());
+    store.forget_artifact(&named).await.unwrap();
+    assert!(store.artifacts().get(&named).is_ok(), "a pile names it");
+    let other = store.artifacts().put(b"nobody's").unwrap();
+    store.forget_artifact(&other).await.unwrap();
+    assert!(store.artifacts().get(&other).is_err());
+    store.sweep_artifacts().await.unwrap();
+}
+
+#[tokio::test]
+async fn records_of_a_dose_long_past_are_archived_and_read_as_before() {
+    let (_folder, store) = filled().await;
+    for (state, at) in [(WeighingState::Settling, 3000), (WeighingState::Dosing, 4000)] {
+        let mut tx = store.write().await.unwrap();
+        let at = flip_core::domain::timestamp::Timestamp::from_unix_ms(at);
+        tx.advance_weighing("w-1", state, at).await.unwrap();
+        tx.commit().await.unwrap();
+    }
+    let mut tx = store.write().await.unwrap();
+    let end = Ending::bare(WeighingState::Aborted, Outcome::Aborted, "stopped");
+    let at = flip_core::domain::timestamp::Timestamp::from_unix_ms(5000);
+    tx.end_weighing("w-1", &end, at).await.unwrap().unwrap();
+    tx.commit().await.unwrap();
+    let before = store.audit_records(&AuditWanted::of("w-1"), window(10)).await.unwrap().page.items;
+    let done = store.archive_audit(now()).await.unwrap();
+    assert_eq!((done.weighings, done.records), (1, 2));
+    let left: i64 = sqlx::query_scalar("SELECT count(*) FROM audit WHERE kind = 'state'")
+        .fetch_one(&store.reader)
+        .await
+        .unwrap();
+    assert_eq!(left, 0, "they are in a file");
+    let after = store.audit_records(&AuditWanted::of("w-1"), window(10)).await.unwrap();
+    assert_eq!((after.total, after.page.items), (3, before));
+    let found = AuditWanted { text: Some("SETTLING".to_owned()), ..AuditWanted::default() };
+    assert_eq!(store.audit_after(&found, 0).await.unwrap().len(), 1);
+    let changed = store.verify_audit(None).await.unwrap();
+    assert!(changed.archives.is_empty() && changed.broken.is_some_and(|it| it.why.contains("w-")));
 }
