@@ -149,9 +149,11 @@ async fn a_dose_goes_its_way_whatever_of_its_measurements_is_missing() {
     let mut tx = store.write().await.unwrap();
     assert_eq!(tx.planned_weighings().await.unwrap(), 1);
     // Without numbers first: what is bound as absent must not spoil the statement for a number.
-    let bare = Ending::bare(WeighingState::Aborted, Outcome::Aborted, "stopped");
+    let mut bare = Ending::bare(WeighingState::Aborted, Outcome::Aborted, "stopped");
+    bare.seconds = Some(f64::NAN);
     assert!(tx.end_planned_weighing("w-1", &bare, now()).await.unwrap().is_none());
-    tx.end_planned_weighing("w-2", &bare, now()).await.unwrap().unwrap();
+    let ended = tx.end_planned_weighing("w-2", &bare, now()).await.unwrap().unwrap();
+    assert_eq!((ended.seconds, ended.reading_mg), (None, None));
     let whole = Ending {
         state: WeighingState::Done,
         outcome: Outcome::Within,

@@ -23,6 +23,7 @@ pub(super) const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
 const READERS: u32 = 4;
 /// Number of read connections for long answers only.
 const LONG_READERS: u32 = 2;
+
 impl Store {
     /// Open a data folder for reading and writing; create, migrate and seed it when needed.
     ///

@@ -127,7 +127,7 @@ async fn follow(url: &str, newest: &watch::Sender<i64>, reader: &AnyPool) -> sql
 /// [`Error::Server`] if this is none.
 pub(super) fn address(url: &str) -> Result<AnyConnectOptions> {
     if !(url.starts_with("postgres://") || url.starts_with("postgresql://")) {
-        return Err(Error::Server("its address begins with postgres://".to_owned()));
+        return Err(Error::Server("its address must begin with postgres://".to_owned()));
     }
     url.parse().map_err(|_| Error::Server("its address is no URL".to_owned()))
 }

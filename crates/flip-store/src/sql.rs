@@ -39,7 +39,8 @@ impl<'r> Decode<'r, Any> for Flag {
 /// A number that may be absent, as an argument.
 ///
 /// sqlx 0.9 tells PostgreSQL that an absent `f64` has four bytes and an absent `f32` eight, and
-/// keeps the statement for the next call, whose number then has the wrong length.
+/// keeps the statement for the next call, whose number then has the wrong length. What is no number
+/// is stored as absent, which SQLite does by itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Number(pub f64);
 
@@ -51,7 +52,10 @@ impl Type<Any> for Number {
 
 impl Encode<'_, Any> for Number {
     fn encode_by_ref(&self, buffer: &mut Buffer) -> std::result::Result<IsNull, BoxDynError> {
-        <f64 as Encode<Any>>::encode_by_ref(&self.0, buffer)
+        match self.0.is_nan() {
+            false => <f64 as Encode<Any>>::encode_by_ref(&self.0, buffer),
+            true => <Option<Self> as Encode<Any>>::encode_by_ref(&None, buffer),
+        }
     }
 }
 
