@@ -52,13 +52,14 @@ impl Store {
         // that is gone.
         let database =
             if self.place.check().is_ok() { self.try_to_write().await } else { self.place.check() };
+        let lack_of_lock = self.lack_of_lock().await;
         // Checked last: if the folder has disappeared meanwhile, that is why the database fails.
         let folder = self.place.check();
         Health {
             disk: Check::of(self.lack_of_room()),
             database: Check::from_result(database),
             folder: Check::from_result(folder),
-            lock: Check::of(self.lack_of_lock()),
+            lock: Check::of(lack_of_lock),
         }
     }
 
@@ -123,10 +124,15 @@ impl Store {
         })
     }
 
-    fn lack_of_lock(&self) -> Option<String> {
-        let held = self.lock.as_ref().is_some_and(|lock| lock.is_in_place());
-        (!held)
-            .then(|| "flip.lock was removed or replaced while FLIP ran: start FLIP anew".to_owned())
+    async fn lack_of_lock(&self) -> Option<String> {
+        if !self.lock.as_ref().is_some_and(|lock| lock.is_in_place()) {
+            let why = "flip.lock was removed or replaced while FLIP ran: start FLIP anew";
+            return Some(why.to_owned());
+        }
+        match &self.server {
+            Some(server) => server.is_alone().await.err().map(|error| error.to_string()),
+            None => None,
+        }
     }
 }
 

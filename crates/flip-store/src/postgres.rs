@@ -91,6 +91,22 @@ impl Server {
         }
     }
 
+    /// Whether this process still has the database to itself. The lock is lost with its connection,
+    /// as when the server starts again, and then taken anew.
+    ///
+    /// # Errors
+    /// [`Error::Held`], [`Error::Unreachable`].
+    pub async fn is_alone(&self) -> Result<()> {
+        let mut alone = self.alone.lock().await;
+        let Some(connection) = alone.as_mut() else { return Err(sqlx::Error::PoolClosed.into()) };
+        if connection.ping().await.is_err() {
+            let mut again = PgConnection::connect(self.options.database_url.as_str()).await?;
+            serve_alone(&mut again).await?;
+            *alone = Some(again);
+        }
+        Ok(())
+    }
+
     /// Begin a transaction that writes and roll it back, on a connection of its own.
     ///
     /// # Errors
@@ -351,5 +367,58 @@ mod tests {
             .await
             .unwrap();
         assert_eq!(set, "on");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn what_was_committed_is_there_after_a_crash_of_the_server_and_work_goes_on() {
+        if cluster().is_none() {
+            return;
+        }
+        let cluster = std::sync::Arc::new(testing::Cluster::start(true).unwrap());
+        let folder = tempfile::tempdir().unwrap();
+        let url = cluster.database_of(folder.path()).await;
+        let store = Store::open_on(&url, folder.path()).await.unwrap();
+        let mut heard = store.watch_events();
+        let record = async || {
+            let mut tx = store.write().await?;
+            tx.audit_person(None, "looked", now()).await?;
+            tx.emit("bench", "held", &serde_json::json!({})).await?;
+            tx.commit().await
+        };
+        let (mut committed, mut failed) = (0, 0);
+        for _ in 0..3 {
+            let crashing = cluster.clone();
+            let crash = tokio::task::spawn_blocking(move || crashing.crash());
+            let mut after = 0;
+            while after < 10 {
+                after += i32::from(crash.is_finished());
+                match record().await {
+                    Ok(()) => committed += 1,
+                    Err(Error::Unreachable(_)) => {
+                        failed += 1;
+                        tokio::time::sleep(POLL / 20).await;
+                    }
+                    Err(other) => panic!("{other:?}"),
+                }
+            }
+            crash.await.unwrap();
+        }
+        assert!(committed >= 20, "{committed} were committed, {failed} failed");
+        // Of one that failed nobody knows, but no other is missing.
+        let found = store.verify_audit(None).await.unwrap();
+        let expected = committed + 2..=committed + failed + 2;
+        assert!(expected.contains(&found.records), "{} of {expected:?}", found.records);
+        assert_eq!(found.broken, None);
+        let health = store.health().await;
+        assert!(health.lock.ok && health.database.ok, "{health:?}");
+        let elsewhere = tempfile::tempdir().unwrap();
+        let second = Store::open_on(&url, elsewhere.path()).await;
+        assert!(matches!(second, Err(Error::Held(_))), "{second:?}");
+        // And events of others are heard again.
+        heard.borrow_and_update();
+        let mut other = PgConnection::connect(&url).await.unwrap();
+        let insert = "INSERT INTO event (topic, kind, data, at) VALUES ('bench', 'held', '{}', 0)";
+        other.execute(insert).await.unwrap();
+        tokio::time::timeout(POLL * 5, heard.changed()).await.expect("heard").unwrap();
     }
 }

@@ -47,23 +47,28 @@ pub(super) async fn drop_trigger(store: &Store, trigger: &str, table: &str) {
     sqlx::query(sql).execute(store.writer().unwrap()).await.unwrap();
 }
 
-/// The cluster of this test binary, started when it is first asked for.
+/// The cluster that the tests of this binary share, started when it is first asked for.
 ///
 /// # Errors
 /// Why there is none.
 pub(super) fn cluster() -> std::result::Result<&'static Cluster, String> {
     static CLUSTER: OnceLock<std::result::Result<Cluster, String>> = OnceLock::new();
-    CLUSTER.get_or_init(Cluster::start).as_ref().map_err(Clone::clone)
+    CLUSTER.get_or_init(|| Cluster::start(false)).as_ref().map_err(Clone::clone)
 }
 
 /// A running cluster.
 pub(super) struct Cluster {
     folder: PathBuf,
+    programs: PathBuf,
     _ends_with_us: Child,
 }
 
 impl Cluster {
-    fn start() -> std::result::Result<Self, String> {
+    /// Start one that waits for the disk, or not.
+    ///
+    /// # Errors
+    /// Why it does not start.
+    pub fn start(durable: bool) -> std::result::Result<Self, String> {
         let programs = programs().ok_or(
             "PostgreSQL is not installed: initdb is neither in PATH nor in /usr/lib/postgresql/*/bin",
         )?;
@@ -86,9 +91,10 @@ impl Cluster {
         let initdb = programs.join("initdb").into_os_string();
         let options = ["-U", "flip", "-A", "trust", "-E", "UTF8", "--locale=C", "--no-sync", "-D"];
         run(as_other(initdb).args(options).arg(&data))?;
+        let fsync = if durable { "on" } else { "off" };
         let settings = format!(
             "-c listen_addresses= -c unix_socket_directories={} -c max_connections=500 \
-             -c fsync=off -c full_page_writes=off",
+             -c fsync={fsync} -c full_page_writes={fsync}",
             folder.display()
         );
         let pg_ctl = programs.join("pg_ctl").into_os_string();
@@ -97,7 +103,19 @@ impl Cluster {
             .arg(folder.join("log"))
             .arg("-D")
             .arg(&data))?;
-        Ok(Self { folder, _ends_with_us: ends_with_us })
+        Ok(Self { folder, programs, _ends_with_us: ends_with_us })
+    }
+
+    /// Kill the server as a crash would, and start it again.
+    pub fn crash(&self) {
+        let pg_ctl = self.programs.join("pg_ctl").into_os_string();
+        let restart = ["-w", "-m", "immediate", "restart", "-l"];
+        run(as_other(pg_ctl)
+            .args(restart)
+            .arg(self.folder.join("log"))
+            .arg("-D")
+            .arg(self.folder.join("data")))
+        .unwrap();
     }
 
     /// The address of a database.
