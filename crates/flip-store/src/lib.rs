@@ -4,8 +4,9 @@
 //! written once, for both: `sql.rs` says how, `sqlite.rs` and `postgres.rs` hold what only one has.
 //!
 //! One connection writes and four read; two more read for answers that grow with the whole history.
-//! A transaction that writes begins with a lock that only one has (`BEGIN IMMEDIATE` of SQLite): a deferred one that reads first and
-//! writes later can fail with a snapshot conflict, which the busy timeout does not cover.
+//! A transaction that writes begins with a lock that only one has. In SQLite that is `BEGIN
+//! IMMEDIATE`: a deferred one that reads first and writes later can fail with a snapshot conflict,
+//! which the busy timeout does not cover.
 
 pub mod archive;
 pub mod archiving;
@@ -17,8 +18,6 @@ pub mod bench;
 pub mod checklist;
 pub mod counts;
 pub mod current_simulator;
-#[cfg(test)]
-mod either_tests;
 mod error;
 pub mod evaluations;
 pub mod events;
@@ -48,8 +47,6 @@ mod sql;
 mod sqlite;
 mod stock;
 pub mod stops;
-#[cfg(test)]
-mod testing;
 pub mod tokens;
 mod trail;
 pub mod trials;
@@ -223,3 +220,8 @@ pub fn now() -> Timestamp {
 pub fn new_id() -> String {
     uuid::Uuid::now_v7().to_string()
 }
+
+#[cfg(test)]
+mod either_tests;
+#[cfg(test)]
+mod testing;

@@ -386,7 +386,7 @@ mod tests {
             tx.commit().await
         };
         let (mut committed, mut failed) = (0, 0);
-        for _ in 0..3 {
+        for _ in 0..2 {
             let crashing = cluster.clone();
             let crash = tokio::task::spawn_blocking(move || crashing.crash());
             let mut after = 0;
