@@ -59,9 +59,9 @@ impl Store {
         let address = postgres::address(database_url)?;
         let alone = postgres::prepare(database_url).await?;
         let writer = postgres::writer(address.clone()).await?;
-        let pool = async |max| postgres::readers(address.clone(), connections(max)).await;
-        let (reader, apart, long) =
-            (pool(READERS).await?, pool(1).await?, pool(LONG_READERS).await?);
+        let reader = postgres::readers(address.clone(), connections(READERS)).await?;
+        let apart = postgres::readers(address.clone(), connections(1)).await?;
+        let long = postgres::readers(address.clone(), connections(LONG_READERS)).await?;
         let newest_event = watch::Sender::new(newest_event(&reader).await?);
         let server = Server::new(address, alone, newest_event.clone(), apart.clone());
         let store = Self {
