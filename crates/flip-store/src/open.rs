@@ -40,8 +40,9 @@ impl Store {
         sound::check(&database).await?;
         sound::check_version(&file, &sqlite::migrations()).await?;
         sqlite::migrations().run(&file).await.map_err(sqlx::Error::from)?;
-        file.close().await;
         let writer = sqlite::writer(data_dir).await?;
+        // Not the last one: that would move the write-ahead log into the database.
+        file.close().await;
         let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock)), None).await?;
         store.begin_work().await
     }
@@ -130,8 +131,8 @@ impl Store {
     pub async fn open_beside(data_dir: &Path) -> Result<Self> {
         let file = sqlite::prepared(data_dir).await?;
         sound::check_version(&file, &sqlite::migrations()).await?;
-        file.close().await;
         let writer = sqlite::writer(data_dir).await?;
+        file.close().await;
         Self::assemble(data_dir, Some(writer), None, None).await
     }
 
