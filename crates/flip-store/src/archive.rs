@@ -11,6 +11,7 @@
 
 use super::audit::{AuditRecord, Written};
 use super::row::Columns;
+use super::sql::has_table;
 use super::{Error, Result, Store};
 use crate::artifacts::sha256_hex;
 use flate2::Compression;
@@ -18,8 +19,8 @@ use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::SqliteConnection;
-use sqlx::sqlite::SqliteRow;
+use sqlx::AnyConnection;
+use sqlx::any::AnyRow;
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
@@ -251,21 +252,21 @@ pub(super) enum Order {
 /// Members that hold records after the first and before the second position, at most `limit`; of
 /// one weighing if given.
 pub(super) async fn aways(
-    connection: &mut SqliteConnection,
+    connection: &mut AnyConnection,
     weighing: Option<&str>,
     (after, before): (i64, i64),
     order: Order,
     limit: i64,
 ) -> Result<Vec<Away>> {
-    if !are_kept(connection).await? {
+    if !has_table(connection, "audit_away").await? {
         return Ok(Vec::new());
     }
     const OF_ONE: &str = "SELECT away.*, audit.body ->> '$.file' AS file FROM audit_away AS away JOIN audit ON audit.seq = away.archive \
-                          WHERE away.weighing = ?3 AND away.last > ?1 AND away.first < ?2 ORDER BY away.first";
+                          WHERE away.weighing = $3 AND away.last > $1 AND away.first < $2 ORDER BY away.first";
     const NEWEST: &str = "SELECT away.*, audit.body ->> '$.file' AS file FROM audit_away AS away JOIN audit ON audit.seq = away.archive \
-                          WHERE away.last > ?1 AND away.first < ?2 ORDER BY away.first DESC LIMIT ?3";
+                          WHERE away.last > $1 AND away.first < $2 ORDER BY away.first DESC LIMIT $3";
     const OLDEST: &str = "SELECT away.*, audit.body ->> '$.file' AS file FROM audit_away AS away JOIN audit ON audit.seq = away.archive \
-                          WHERE away.last > ?1 AND away.first < ?2 ORDER BY away.last LIMIT ?3";
+                          WHERE away.last > $1 AND away.first < $2 ORDER BY away.last LIMIT $3";
     let sql = match (weighing, order) {
         (Some(_), _) => OF_ONE,
         (None, Order::Newest) => NEWEST,
@@ -284,15 +285,9 @@ pub(super) async fn aways(
     Ok(found)
 }
 
-/// Whether this database knows archives: one from before them can be read as it is.
-pub(super) async fn are_kept(connection: &mut SqliteConnection) -> Result<bool> {
-    let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'audit_away')";
-    Ok(sqlx::query_scalar(sql).fetch_one(connection).await?)
-}
-
 /// Number of members named by the table.
-pub(super) async fn count(connection: &mut SqliteConnection) -> Result<i64> {
-    if !are_kept(connection).await? {
+pub(super) async fn count(connection: &mut AnyConnection) -> Result<i64> {
+    if !has_table(connection, "audit_away").await? {
         return Ok(0);
     }
     Ok(sqlx::query_scalar("SELECT count(*) FROM audit_away").fetch_one(connection).await?)
@@ -300,25 +295,25 @@ pub(super) async fn count(connection: &mut SqliteConnection) -> Result<i64> {
 
 /// Number of records in members; of one weighing if given.
 pub(super) async fn count_records(
-    connection: &mut SqliteConnection,
+    connection: &mut AnyConnection,
     weighing: Option<&str>,
 ) -> Result<i64> {
-    if !are_kept(connection).await? {
+    if !has_table(connection, "audit_away").await? {
         return Ok(0);
     }
-    let sql = "SELECT coalesce(sum(last - first + 1), 0) FROM audit_away WHERE ?1 IS NULL OR weighing = ?1";
+    let sql = "SELECT CAST(coalesce(sum(last - first + 1), 0) AS BIGINT) FROM audit_away WHERE $1 IS NULL OR weighing = $1";
     Ok(sqlx::query_scalar(sql).bind(weighing).fetch_one(connection).await?)
 }
 
 /// How the table's entry for a file differs from the record that names it, even if the file is
 /// gone.
 pub(super) async fn not_as_named(
-    connection: &mut SqliteConnection,
+    connection: &mut AnyConnection,
     archive: i64,
     named: &Named,
 ) -> Result<Option<Error>> {
-    let sql = "SELECT coalesce(sum(last - first + 1), 0), count(DISTINCT weighing), coalesce(min(first), 0), coalesce(max(last), 0) \
-               FROM audit_away WHERE archive = ?1 AND first BETWEEN ?2 AND ?3";
+    let sql = "SELECT CAST(coalesce(sum(last - first + 1), 0) AS BIGINT), count(DISTINCT weighing), coalesce(min(first), 0), coalesce(max(last), 0) \
+               FROM audit_away WHERE archive = $1 AND first BETWEEN $2 AND $3";
     let query = sqlx::query_as(sql).bind(archive).bind(named.first).bind(named.last);
     let found: (i64, i64, i64, i64) = query.fetch_one(connection).await?;
     let said = (named.records, named.weighings, named.first, named.last);
@@ -332,20 +327,20 @@ pub(super) async fn not_as_named(
 }
 
 /// Hash of the record at this position, in the table or an archive; `None` if there is none.
-pub(super) async fn hash_at(connection: &mut SqliteConnection, seq: i64) -> Result<Option<String>> {
-    let sql = "SELECT hash FROM audit WHERE seq = ?1";
+pub(super) async fn hash_at(connection: &mut AnyConnection, seq: i64) -> Result<Option<String>> {
+    let sql = "SELECT hash FROM audit WHERE seq = $1";
     if let Some(hash) = sqlx::query_scalar(sql).bind(seq).fetch_optional(&mut *connection).await? {
         return Ok(Some(hash));
     }
-    if !are_kept(connection).await? {
+    if !has_table(connection, "audit_away").await? {
         return Ok(None);
     }
     // Queried where a member ends or begins.
-    let sql = "SELECT hash FROM audit_away WHERE last = ?1 UNION ALL SELECT before FROM audit_away WHERE first = ?1 + 1";
+    let sql = "SELECT hash FROM audit_away WHERE last = $1 UNION ALL SELECT before FROM audit_away WHERE first = $1 + 1";
     Ok(sqlx::query_scalar(sql).bind(seq).fetch_optional(connection).await?)
 }
 
-fn away(row: &SqliteRow) -> Result<Away> {
+fn away(row: &AnyRow) -> Result<Away> {
     let size = |column: &str| -> Result<u64> {
         let value: i64 = row.plain(column)?;
         u64::try_from(value).map_err(|_| Error::Corrupt(format!("{column}: {value} is no size")))

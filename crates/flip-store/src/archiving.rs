@@ -22,8 +22,8 @@ const RECORDS_MAX: i64 = 10_000;
 /// Records moved for a weighing that ended before a given day. Its intent, its outcome and people's
 /// actions stay in the table: rows are compared with them.
 const BULK: &str = "SELECT audit.* FROM audit JOIN weighing ON weighing.id = audit.weighing \
-    WHERE audit.seq > ?1 AND weighing.outcome IS NOT NULL AND weighing.finished_at < ?2 \
-    AND audit.kind IN ('state', 'sent', 'received', 'reading', 'decision') ORDER BY audit.seq LIMIT ?3";
+    WHERE audit.seq > $1 AND weighing.outcome IS NOT NULL AND weighing.finished_at < $2 \
+    AND audit.kind IN ('state', 'sent', 'received', 'reading', 'decision') ORDER BY audit.seq LIMIT $3";
 
 /// What was moved into archives.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
@@ -147,9 +147,10 @@ impl Store {
         let mut tx = self.write().await?;
         tx.name_archive(packed).await?;
         tx.commit().await?;
-        // Only this shrinks the file; without it the space is available for other rows.
-        if let Err(error) =
-            sqlx::query("PRAGMA incremental_vacuum(2000)").fetch_all(self.writer()?).await
+        // Only this shrinks SQLite's file; without it the space is available for other rows.
+        if !self.is_postgres()
+            && let Err(error) =
+                sqlx::query("PRAGMA incremental_vacuum(2000)").fetch_all(self.writer()?).await
         {
             tracing::warn!(%error, "the database keeps the room of what was archived");
         }
@@ -168,13 +169,13 @@ impl Tx {
             .plain("seq")?;
         for away in &packed.aways {
             // Detects another process's work where the file system has no locks.
-            let left = "SELECT count(*) FROM audit WHERE seq BETWEEN ?1 AND ?2";
+            let left = "SELECT count(*) FROM audit WHERE seq BETWEEN $1 AND $2";
             let left = sqlx::query_scalar::<_, i64>(left).bind(away.first).bind(away.last);
             if left.fetch_one(&mut *self.inner).await? != away.last - away.first + 1 {
                 return Err(Error::Archiving);
             }
             self.insert_away(away, archive).await?;
-            let gone = sqlx::query("DELETE FROM audit WHERE seq BETWEEN ?1 AND ?2")
+            let gone = sqlx::query("DELETE FROM audit WHERE seq BETWEEN $1 AND $2")
                 .bind(away.first)
                 .bind(away.last);
             gone.execute(&mut *self.inner).await?;
@@ -184,7 +185,7 @@ impl Tx {
 
     async fn insert_away(&mut self, away: &Away, archive: i64) -> Result<()> {
         let sql = "INSERT INTO audit_away (first, last, weighing, before, hash, archive, start, bytes) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
+                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8)";
         sqlx::query(sql)
             .bind(away.first)
             .bind(away.last)

@@ -1,6 +1,7 @@
 //! Content-addressed bytes: checkpoints, traces and films are files named by their SHA-256, written before
 //! the row that names them.
 
+use super::sql::Flag;
 use super::{Error, Result, Store};
 use sha2::{Digest, Sha256};
 use std::collections::HashSet;
@@ -132,12 +133,12 @@ impl Artifacts {
 impl Store {
     /// Remove a file that a row has just stopped naming, unless another row names it.
     pub(super) async fn forget_artifact(&self, sha256: &str) -> Result<()> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = ?1 \
-             UNION SELECT 1 FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' = ?1 \
-             UNION SELECT 1 FROM job WHERE kind = 'film' AND result ->> '$.sha256' = ?1 \
-             UNION SELECT 1 FROM weighing WHERE trace = ?1 \
-             UNION SELECT 1 FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom = ?1)";
-        let named: bool = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;
+        let sql = "SELECT EXISTS (SELECT 1 FROM job WHERE checkpoint = $1 \
+             UNION SELECT 1 FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' = $1 \
+             UNION SELECT 1 FROM job WHERE kind = 'film' AND result ->> '$.sha256' = $1 \
+             UNION SELECT 1 FROM weighing WHERE trace = $1 \
+             UNION SELECT 1 FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom = $1)";
+        let Flag(named) = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;
         if named { Ok(()) } else { remove(&self.artifacts.path(sha256)) }
     }
 

@@ -20,7 +20,7 @@ use super::{Error, Result, Tx};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// One record of the audit trail.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -139,7 +139,7 @@ impl Tx {
             None => (1, beginning()),
         };
         let hash = chained(&previous, seq, now.unix_ms(), about, &body);
-        sqlx::query("INSERT INTO audit (seq, at, weighing, kind, body, hash) VALUES (?1, ?2, ?3, ?4, ?5, ?6)")
+        sqlx::query("INSERT INTO audit (seq, at, weighing, kind, body, hash) VALUES ($1, $2, $3, $4, $5, $6)")
             .bind(seq)
             .bind(now.unix_ms())
             .bind(about.weighing)
@@ -187,7 +187,7 @@ fn signed(body: &impl Serialize) -> Result<serde_json::Value> {
 
 impl Written {
     /// A row of the table.
-    pub(super) fn of(row: &SqliteRow) -> Result<Self> {
+    pub(super) fn of(row: &AnyRow) -> Result<Self> {
         Ok(Self {
             seq: row.plain("seq")?,
             at: row.plain("at")?,
@@ -221,10 +221,10 @@ impl Written {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Store, now};
+    use crate::{Store, now, testing};
 
     async fn with_records(folder: &std::path::Path, n: i64) -> Store {
-        let store = Store::open(folder).await.unwrap();
+        let store = testing::open(folder).await.unwrap();
         for k in 0..n {
             let mut tx = store.write().await.unwrap();
             let about = About { weighing: Some("w"), kind: "reading" };
@@ -253,10 +253,7 @@ mod tests {
             ("DELETE FROM audit WHERE seq = 1", 2),
         ];
         for trigger in ["audit_stays", "audit_keeps"] {
-            sqlx::query(sqlx::AssertSqlSafe(format!("DROP TRIGGER {trigger}")))
-                .execute(writer)
-                .await
-                .unwrap();
+            testing::drop_trigger(&store, trigger, "audit").await;
         }
         for (sql, seq) in tampered {
             sqlx::query(sql).execute(writer).await.unwrap();
@@ -272,7 +269,7 @@ mod tests {
         let kept = store.verify_audit(None).await.unwrap().last_hash;
         assert_eq!(store.verify_audit(Some(&kept)).await.unwrap().holds_hash, Some(true));
         let writer = store.writer().unwrap();
-        sqlx::query("DROP TRIGGER audit_keeps").execute(writer).await.unwrap();
+        testing::drop_trigger(&store, "audit_keeps", "audit").await;
         sqlx::query("DELETE FROM audit WHERE seq = 5").execute(writer).await.unwrap();
         let cut = store.verify_audit(Some(&kept)).await.unwrap();
         assert_eq!((cut.broken, cut.holds_hash), (None, Some(false)));

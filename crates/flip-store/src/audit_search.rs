@@ -6,11 +6,10 @@
 use super::archiving::KINDS as ARCHIVED;
 use super::audit::AuditRecord;
 use super::page::Page;
-use super::weighing_search::escaped;
+use super::sql::Parts;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use sqlx::{QueryBuilder, Sqlite};
 
 /// Where a record names people.
 const PEOPLE: [&[&str]; 3] = [&["who", "name"], &["by"], &["asked", "operator"]];
@@ -59,7 +58,7 @@ impl AuditWanted {
     }
 
     /// Adds the conditions to a statement that has come to its `WHERE`.
-    pub(super) fn restrict(&self, sql: &mut QueryBuilder<Sqlite>) {
+    pub(super) fn restrict(&self, sql: &mut Parts) {
         sql.push("TRUE");
         for (column, is) in [("weighing", &self.weighing), ("kind", &self.kind)] {
             if let Some(is) = is {
@@ -83,8 +82,7 @@ impl AuditWanted {
         ];
         for (words, place) in places {
             for word in words.iter().flat_map(|words| words.split_whitespace()) {
-                sql.push(format!(" AND {place} LIKE "));
-                sql.push_bind(format!("%{}%", escaped(word))).push(r" ESCAPE '\'");
+                sql.push(" AND ").contains(&place, word);
             }
         }
     }
@@ -124,13 +122,13 @@ mod tests {
     use super::*;
     use crate::audit::About;
     use crate::page::PageQuery;
-    use crate::{Store, now};
+    use crate::{now, testing};
     use serde_json::json;
 
     #[tokio::test]
     async fn sql_and_the_search_of_archives_choose_the_same_records() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         let records = [
             (Some("w1"), "reading", json!({ "mass_mg": 5.25, "note": "100 % stable_now" })),
             (Some("w1"), "person", json!({ "action": "stop", "who": { "name": "Ada Byron" } })),

@@ -8,7 +8,7 @@ use flip_core::domain::bench_check::CheckKind;
 use flip_core::domain::timestamp::Timestamp;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// A latched bench, which nobody may use until a person has checked it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,7 +50,7 @@ impl Store {
         &self,
         kind: CheckKind,
     ) -> Result<Option<(Timestamp, T)>> {
-        let sql = "SELECT at, body FROM bench_check WHERE kind = ?1 ORDER BY seq DESC LIMIT 1";
+        let sql = "SELECT at, body FROM bench_check WHERE kind = $1 ORDER BY seq DESC LIMIT 1";
         let row = sqlx::query(sql).bind(word(&kind)).fetch_optional(&self.reader).await?;
         row.map(|row| Ok((row.time("at")?, row.json("body")?))).transpose()
     }
@@ -63,7 +63,7 @@ impl Tx {
         if let Some(first) = self.latch().await? {
             return Ok(first);
         }
-        sqlx::query("INSERT INTO latch (at, reason, weighing, bench) VALUES (?1, ?2, ?3, ?4)")
+        sqlx::query("INSERT INTO latch (at, reason, weighing, bench) VALUES ($1, $2, $3, $4)")
             .bind(latched.at.unix_ms())
             .bind(&latched.reason)
             .bind(&latched.weighing)
@@ -95,7 +95,7 @@ impl Tx {
     ) -> Result<Option<Latch>> {
         let latched = self.latch().await?;
         let sql =
-            "UPDATE latch SET cleared_at = ?1, cleared_by = ?2, note = ?3 WHERE cleared_at IS NULL";
+            "UPDATE latch SET cleared_at = $1, cleared_by = $2, note = $3 WHERE cleared_at IS NULL";
         sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note).execute(&mut *self.inner).await?;
         let said =
             serde_json::json!({ "action": "clear", "by": by, "note": note, "latch": latched });
@@ -112,7 +112,7 @@ impl Tx {
         body: &impl Serialize,
         now: Timestamp,
     ) -> Result<()> {
-        let sql = "INSERT INTO bench_check (at, kind, body) VALUES (?1, ?2, ?3)";
+        let sql = "INSERT INTO bench_check (at, kind, body) VALUES ($1, $2, $3)";
         sqlx::query(sql)
             .bind(now.unix_ms())
             .bind(word(&kind))
@@ -124,7 +124,7 @@ impl Tx {
     }
 }
 
-fn latch(row: &SqliteRow) -> Result<Latch> {
+fn latch(row: &AnyRow) -> Result<Latch> {
     Ok(Latch {
         at: row.time("at")?,
         reason: row.plain("reason")?,
@@ -136,12 +136,12 @@ fn latch(row: &SqliteRow) -> Result<Latch> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::now;
+    use crate::{now, testing};
 
     #[tokio::test]
     async fn a_latched_bench_keeps_its_first_reason_until_a_person_clears_it() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
         let first = Latch {
             at: now(),

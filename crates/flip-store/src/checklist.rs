@@ -30,7 +30,7 @@ impl Tx {
     /// Replace the checklist.
     pub async fn change_checklist(&mut self, items: &[String]) -> Result<()> {
         let (now, items) = (now(), serde_json::json!(items));
-        sqlx::query("INSERT INTO checklist (items, changed_at) VALUES (?1, ?2)")
+        sqlx::query("INSERT INTO checklist (items, changed_at) VALUES ($1, $2)")
             .bind(items.to_string())
             .bind(now.unix_ms())
             .execute(&mut *self.inner)

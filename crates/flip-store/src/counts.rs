@@ -4,7 +4,7 @@ use super::row::Columns;
 use super::{Result, Store, now};
 use flip_core::domain::job::{JobKind, JobState};
 use flip_core::domain::weighing::{Outcome, WeighingState};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// Counts of jobs and weighings; zero counts are omitted.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,7 +22,7 @@ impl Store {
     pub async fn counts(&self) -> Result<Counts> {
         let sql = "SELECT kind, state, min(seq) AS seq, count(*) AS n FROM job GROUP BY kind, state ORDER BY kind, state";
         let jobs = sqlx::query(sql).fetch_all(&self.reader).await?;
-        let sql = "SELECT state, outcome, min(seq) AS seq, count(*) AS n FROM weighing GROUP BY state, outcome ORDER BY state, outcome";
+        let sql = "SELECT state, outcome, min(seq) AS seq, count(*) AS n FROM weighing GROUP BY state, outcome ORDER BY state, outcome NULLS FIRST";
         let weighings = sqlx::query(sql).fetch_all(&self.reader).await?;
         let sql = "SELECT (SELECT min(created_at) FROM job WHERE state = 'queued') AS job, \
                    (SELECT min(created_at) FROM weighing WHERE outcome IS NULL AND started_at IS NULL) AS weighing";
@@ -41,11 +41,11 @@ impl Store {
     }
 }
 
-fn job(row: &SqliteRow) -> Result<((JobKind, JobState), u32)> {
+fn job(row: &AnyRow) -> Result<((JobKind, JobState), u32)> {
     Ok(((row.word("job", "kind")?, row.word("job", "state")?), row.count("n")?))
 }
 
-fn weighing(row: &SqliteRow) -> Result<((WeighingState, Option<Outcome>), u32)> {
+fn weighing(row: &AnyRow) -> Result<((WeighingState, Option<Outcome>), u32)> {
     let state = row.word("weighing", "state")?;
     Ok(((state, row.maybe_word("weighing", "outcome")?), row.count("n")?))
 }

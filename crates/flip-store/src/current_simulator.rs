@@ -4,7 +4,7 @@ use super::row::Columns;
 use super::{Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// Topic of the event emitted by a choice.
 pub const SIMULATOR_TOPIC: &str = "simulator";
@@ -57,7 +57,7 @@ impl Tx {
         if before.as_deref() == version {
             return Ok(());
         }
-        let sql = "INSERT INTO current_simulator (version, chosen_at, reason) VALUES (?1, ?2, ?3)";
+        let sql = "INSERT INTO current_simulator (version, chosen_at, reason) VALUES ($1, $2, $3)";
         sqlx::query(sql)
             .bind(version)
             .bind(now().unix_ms())
@@ -76,7 +76,7 @@ impl Tx {
     }
 }
 
-fn choice(row: &SqliteRow) -> Result<Choice> {
+fn choice(row: &AnyRow) -> Result<Choice> {
     Ok(Choice {
         version: row.plain("version")?,
         chosen_at: row.time("chosen_at")?,

@@ -1,5 +1,6 @@
 //! Errors of the store, distinguished where a person can do something about them.
 
+use sqlx::postgres::PgDatabaseError;
 use std::path::PathBuf;
 
 /// Why the store did not carry out a request.
@@ -63,6 +64,12 @@ pub enum Error {
     /// The SQLite in this program predates the fix for the reset of the write-ahead log.
     #[error("SQLite {0} is too old: 3.51.3 or newer is needed")]
     Old(String),
+    /// The database's server cannot be used.
+    #[error("the server of the database cannot be used: {0}")]
+    Server(String),
+    /// The connection to the database's server is lost, or there never was one.
+    #[error("the server of the database cannot be reached ({0}): FLIP goes on when it is back")]
+    Unreachable(String),
     /// A row holds a word that this program does not know: a kind, a state, an outcome.
     #[error(
         "table {table}, row {row}: {column} is `{word}`, which this FLIP does not know: a newer one wrote it, or it was changed outside FLIP"
@@ -115,6 +122,12 @@ impl From<sqlx::Error> for Error {
         if matches!(error, sqlx::Error::PoolTimedOut) {
             return Self::Busy;
         }
+        if matches!(error, sqlx::Error::Io(_)) {
+            return Self::Unreachable(error.to_string());
+        }
+        if let Some(state) = state(&error) {
+            return Self::of_state(&state, error);
+        }
         match primary_code(&error) {
             Some(BUSY | LOCKED) => Self::Locked,
             Some(FULL) => Self::Full,
@@ -123,6 +136,31 @@ impl From<sqlx::Error> for Error {
             _ => Self::Database(error),
         }
     }
+}
+
+impl Error {
+    /// Of PostgreSQL's SQLSTATE, https://www.postgresql.org/docs/current/errcodes-appendix.html.
+    fn of_state(state: &str, error: sqlx::Error) -> Self {
+        match state {
+            // A lock was not free in time; two transactions were in each other's way.
+            "55P03" | "40001" | "40P01" => Self::Locked,
+            "53300" => Self::Busy,
+            "53100" => Self::Full,
+            "58030" => Self::Disk(error.to_string()),
+            // The server follows another one.
+            "25006" => Self::ReadOnly,
+            // It shuts down, starts, or ended the connection.
+            "57P01" | "57P02" | "57P03" | "57P05" => Self::Unreachable(error.to_string()),
+            _ if state.starts_with("08") => Self::Unreachable(error.to_string()),
+            _ => Self::Database(error),
+        }
+    }
+}
+
+/// The SQLSTATE of an error of PostgreSQL.
+fn state(error: &sqlx::Error) -> Option<String> {
+    let sqlx::Error::Database(database) = error else { return None };
+    database.try_downcast_ref::<PgDatabaseError>().map(|error| error.code().to_owned())
 }
 
 // Primary result codes, https://www.sqlite.org/rescode.html.

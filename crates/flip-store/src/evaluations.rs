@@ -71,7 +71,7 @@ pub struct EvaluationSummary {
 impl Store {
     /// The doses of an evaluation stored so far, by key.
     pub async fn doses<T: DeserializeOwned>(&self, evaluation: &str) -> Result<HashMap<String, T>> {
-        let rows = sqlx::query("SELECT key, body FROM dose WHERE job = ?1")
+        let rows = sqlx::query("SELECT key, body FROM dose WHERE job = $1")
             .bind(evaluation)
             .fetch_all(&self.reader);
         rows.await?.iter().map(|row| Ok((row.plain("key")?, row.json("body")?))).collect()
@@ -86,7 +86,7 @@ impl Tx {
         key: &str,
         dose: &impl Serialize,
     ) -> Result<()> {
-        let sql = "INSERT INTO dose (job, key, body) VALUES (?1, ?2, ?3)";
+        let sql = "INSERT INTO dose (job, key, body) VALUES ($1, $2, $3)";
         sqlx::query(sql)
             .bind(evaluation)
             .bind(key)
@@ -108,13 +108,13 @@ impl Tx {
     ) -> Result<()> {
         let sql = "INSERT INTO evaluation_row \
                    (evaluation, position, policy, powder, n, mae_mg, body, under) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
+                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8)";
         sqlx::query(sql)
             .bind(evaluation)
-            .bind(position)
+            .bind(i64::from(position))
             .bind(policy)
             .bind(&row.powder)
-            .bind(row.n)
+            .bind(i64::from(row.n))
             .bind(row.mae_mg)
             .bind(json(row)?)
             .bind(under.map(json).transpose()?)

@@ -4,7 +4,7 @@ use super::row::{Columns, json};
 use super::{Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 use tokio::sync::watch;
 
 /// An event of a job or a weighing, or a choice of the current simulator.
@@ -23,6 +23,14 @@ pub struct Event {
     pub at: Timestamp,
 }
 
+/// The number of the latest event, 0 if there is none.
+pub(super) const NEWEST: &str = "SELECT coalesce(max(seq), 0) FROM event";
+
+/// Tell watchers of an event, unless they know of a later one.
+pub(super) fn tell(watchers: &watch::Sender<i64>, seq: i64) {
+    watchers.send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
+}
+
 impl Store {
     /// Events after `after`, oldest first, at most `limit`; of one topic if given.
     pub async fn events_after(
@@ -33,23 +41,21 @@ impl Store {
     ) -> Result<Vec<Event>> {
         let query = match topic {
             Some(topic) => sqlx::query(
-                "SELECT * FROM event WHERE topic = ?3 AND seq > ?1 ORDER BY seq LIMIT ?2",
+                "SELECT * FROM event WHERE topic = $3 AND seq > $1 ORDER BY seq LIMIT $2",
             )
             .bind(after)
-            .bind(limit)
+            .bind(i64::from(limit))
             .bind(topic),
-            None => sqlx::query("SELECT * FROM event WHERE seq > ?1 ORDER BY seq LIMIT ?2")
+            None => sqlx::query("SELECT * FROM event WHERE seq > $1 ORDER BY seq LIMIT $2")
                 .bind(after)
-                .bind(limit),
+                .bind(i64::from(limit)),
         };
         query.fetch_all(&self.reader).await?.iter().map(event).collect()
     }
 
     /// Number of the latest event, whichever process wrote it; 0 if there is none.
     pub async fn newest_event(&self) -> Result<i64> {
-        Ok(sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event")
-            .fetch_one(&self.reader)
-            .await?)
+        Ok(sqlx::query_scalar(NEWEST).fetch_one(&self.reader).await?)
     }
 
     /// Watches the number of the latest committed event.
@@ -61,7 +67,7 @@ impl Store {
 impl Tx {
     /// Emit an event; followers are notified once the transaction is committed.
     pub async fn emit(&mut self, topic: &str, kind: &str, data: &impl Serialize) -> Result<()> {
-        let sql = "INSERT INTO event (topic, kind, data, at) VALUES (?1, ?2, ?3, ?4) RETURNING seq";
+        let sql = "INSERT INTO event (topic, kind, data, at) VALUES ($1, $2, $3, $4) RETURNING seq";
         let seq = sqlx::query_scalar(sql)
             .bind(topic)
             .bind(kind)
@@ -81,13 +87,13 @@ impl Tx {
         kind: &str,
         data: &impl Serialize,
     ) -> Result<()> {
-        let sql = "DELETE FROM event WHERE topic = ?1 AND kind = ?2";
+        let sql = "DELETE FROM event WHERE topic = $1 AND kind = $2";
         sqlx::query(sql).bind(topic).bind(kind).execute(&mut *self.inner).await?;
         self.emit(topic, kind, data).await
     }
 }
 
-fn event(row: &SqliteRow) -> Result<Event> {
+fn event(row: &AnyRow) -> Result<Event> {
     Ok(Event {
         seq: row.plain("seq")?,
         topic: row.plain("topic")?,

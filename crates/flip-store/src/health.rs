@@ -1,6 +1,6 @@
 //! Health of the store: whether it can work now, for monitoring.
 
-use super::open::connection_that_gives_up;
+use super::sqlite::connection_that_gives_up;
 use super::{Error, Result, Store};
 use serde::Serialize;
 use sqlx::{ConnectOptions, Connection};
@@ -52,13 +52,14 @@ impl Store {
         // that is gone.
         let database =
             if self.place.check().is_ok() { self.try_to_write().await } else { self.place.check() };
+        let lack_of_lock = self.lack_of_lock().await;
         // Checked last: if the folder has disappeared meanwhile, that is why the database fails.
         let folder = self.place.check();
         Health {
             disk: Check::of(self.lack_of_room()),
             database: Check::from_result(database),
             folder: Check::from_result(folder),
-            lock: Check::of(self.lack_of_lock()),
+            lock: Check::of(lack_of_lock),
         }
     }
 
@@ -78,6 +79,11 @@ impl Store {
     /// Uses its own connection. If the last transaction failed, one is written to see whether it
     /// still fails.
     async fn begin_and_end(&self) -> Result<()> {
+        if let Some(server) = &self.server {
+            server.try_to_write().await?;
+            self.note_written(None);
+            return Ok(());
+        }
         let failed = self.failed_last();
         let mut connection = connection_that_gives_up(self.place.path()).connect().await?;
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
@@ -118,10 +124,15 @@ impl Store {
         })
     }
 
-    fn lack_of_lock(&self) -> Option<String> {
-        let held = self.lock.as_ref().is_some_and(|lock| lock.is_in_place());
-        (!held)
-            .then(|| "flip.lock was removed or replaced while FLIP ran: start FLIP anew".to_owned())
+    async fn lack_of_lock(&self) -> Option<String> {
+        if !self.lock.as_ref().is_some_and(|lock| lock.is_in_place()) {
+            let why = "flip.lock was removed or replaced while FLIP ran: start FLIP anew";
+            return Some(why.to_owned());
+        }
+        match &self.server {
+            Some(server) => server.is_alone().await.err().map(|error| error.to_string()),
+            None => None,
+        }
     }
 }
 
@@ -129,12 +140,13 @@ impl Store {
 mod tests {
     use super::*;
     use crate::place::Place;
+    use crate::testing;
     use std::path::Path;
 
     #[tokio::test]
     async fn a_full_disk_is_told_with_what_is_free_and_what_is_needed() {
         let folder = tempfile::tempdir().unwrap();
-        let mut store = Store::open(folder.path()).await.unwrap();
+        let mut store = testing::open(folder.path()).await.unwrap();
         assert_eq!(store.health().await.disk, Check { ok: true, why: None });
         // A file system without any room.
         store.place = Place::of(Path::new("/proc/version")).unwrap();

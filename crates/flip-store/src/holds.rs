@@ -6,7 +6,7 @@ use super::{Result, Store, Tx};
 use crate::audit::About;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// A held bench, on which nothing starts until a person resumes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,7 +32,7 @@ impl Store {
 impl Tx {
     /// Hold the bench; if it is held already, the first reason stays.
     pub async fn hold_bench(&mut self, held: &Held) -> Result<()> {
-        let sql = "INSERT INTO bench_hold (at, reason, held_by) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
+        let sql = "INSERT INTO bench_hold (at, reason, held_by) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING";
         let row = sqlx::query(sql).bind(held.at.unix_ms()).bind(&held.reason).bind(&held.by);
         if row.execute(&mut *self.inner).await?.rows_affected() == 0 {
             return Ok(());
@@ -46,7 +46,7 @@ impl Tx {
         let Some(open) = sqlx::query(OPEN).fetch_optional(&mut *self.inner).await? else {
             return Ok(false);
         };
-        let sql = "UPDATE bench_hold SET resumed_at = ?1, resumed_by = ?2, note = ?3 WHERE resumed_at IS NULL";
+        let sql = "UPDATE bench_hold SET resumed_at = $1, resumed_by = $2, note = $3 WHERE resumed_at IS NULL";
         sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note).execute(&mut *self.inner).await?;
         let said =
             serde_json::json!({ "action": "resume", "by": by, "note": note, "held": held(&open)? });
@@ -56,19 +56,19 @@ impl Tx {
     }
 }
 
-fn held(row: &SqliteRow) -> Result<Held> {
+fn held(row: &AnyRow) -> Result<Held> {
     Ok(Held { at: row.time("at")?, reason: row.plain("reason")?, by: row.plain("held_by")? })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::now;
+    use crate::{now, testing};
 
     #[tokio::test]
     async fn a_hold_keeps_its_first_reason_and_outlives_the_process_until_a_person_resumes() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         let first = Held { at: now(), reason: "stop".into(), by: Some("Ada".into()) };
         let mut tx = store.write().await.unwrap();
         assert!(!tx.resume_bench("Ada", "", now()).await.unwrap());
@@ -77,7 +77,7 @@ mod tests {
         tx.commit().await.unwrap();
         store.close().await;
         drop(store);
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         assert_eq!(store.held().await.unwrap(), Some(first));
         let mut tx = store.write().await.unwrap();
         assert!(tx.resume_bench("Ada", "vial exchanged", now()).await.unwrap());

@@ -8,7 +8,7 @@ use flip_core::domain::job::{JobKind, JobState, Progress, Subject, seconds_left}
 use flip_core::domain::labels::{LabelWanted, Labels};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 use std::time::Duration;
 
 /// A job.
@@ -102,11 +102,11 @@ impl Store {
         let sql = concat!(
             "SELECT seq, id, kind, subject, state, fraction, message, attempts, cancel_requested, again_of, labels, ",
             "claimed_at, claimed_fraction, lease_until, created_at, started_at, finished_at, error ",
-            "FROM job WHERE seq < ?1 AND (?3 IS NULL OR kind = ?3) AND (?4 IS NULL OR ?4 = ",
-            "CASE WHEN state = 'running' AND lease_until < ?7 THEN 'queued' ELSE state END) AND ",
-            "(?8 IS NULL OR labels ->> ?8 = ?9) AND ",
-            shown!("job.kind", "job.id", "?5", "?6"),
-            " ORDER BY seq DESC LIMIT ?2"
+            "FROM job WHERE seq < $1 AND ($3 IS NULL OR kind = $3) AND ($4 IS NULL OR $4 = ",
+            "CASE WHEN state = 'running' AND lease_until < $7 THEN 'queued' ELSE state END) AND ",
+            "($8 IS NULL OR labels ->> $8 = $9) AND ",
+            shown!("job.kind", "job.id", "$5", "$6"),
+            " ORDER BY seq DESC LIMIT $2"
         );
         let rows = sqlx::query(sql)
             .bind(window.before())
@@ -126,9 +126,9 @@ impl Store {
     /// Jobs of one kind, newest first, with all their data.
     pub async fn whole_jobs(&self, kind: JobKind, window: Window) -> Result<Page<JobRow>> {
         let sql = concat!(
-            "SELECT * FROM job WHERE seq < ?1 AND kind = ?3 AND ",
-            shown!("job.kind", "job.id", "?4", "?5"),
-            " ORDER BY seq DESC LIMIT ?2"
+            "SELECT * FROM job WHERE seq < $1 AND kind = $3 AND ",
+            shown!("job.kind", "job.id", "$4", "$5"),
+            " ORDER BY seq DESC LIMIT $2"
         );
         let rows = sqlx::query(sql)
             .bind(window.before())
@@ -150,10 +150,10 @@ impl Store {
         training: Option<&str>,
         window: Window,
     ) -> Result<Page<JobRow>> {
-        let sql = "SELECT * FROM job WHERE seq < ?1 AND kind = 'film' \
-                   AND (?3 IS NULL OR spec ->> '$.film.weighing' = ?3) \
-                   AND (?4 IS NULL OR spec ->> '$.heap_film.set' = ?4) \
-                   AND (?5 IS NULL OR spec ->> '$.episode_film.training' = ?5) ORDER BY seq DESC LIMIT ?2";
+        let sql = "SELECT * FROM job WHERE seq < $1 AND kind = 'film' \
+                   AND ($3 IS NULL OR spec ->> '$.film.weighing' = $3) \
+                   AND ($4 IS NULL OR spec ->> '$.heap_film.set' = $4) \
+                   AND ($5 IS NULL OR spec ->> '$.episode_film.training' = $5) ORDER BY seq DESC LIMIT $2";
         let rows = sqlx::query(sql)
             .bind(window.before())
             .bind(window.rows())
@@ -167,7 +167,7 @@ impl Store {
 
     /// One job.
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>> {
-        let row = sqlx::query("SELECT * FROM job WHERE id = ?1")
+        let row = sqlx::query("SELECT * FROM job WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.reader)
             .await?;
@@ -178,18 +178,18 @@ impl Store {
     pub async fn waiting_jobs(&self) -> Result<Vec<(String, Sort)>> {
         let sql = "SELECT id, kind, CASE kind WHEN 'calibration' THEN spec ->> '$.calibration.settings.method' END AS method \
                    FROM job WHERE state IN ('queued', 'running') \
-                   AND (state = 'queued' OR lease_until < ?1) ORDER BY seq";
+                   AND (state = 'queued' OR lease_until < $1) ORDER BY seq";
         let rows = sqlx::query(sql).bind(now().unix_ms()).fetch_all(&self.reader).await?;
         // A kind that is not known here waits for a program that knows it.
-        let known = |row: &SqliteRow| Some((row.plain("id"), sort(row).ok()?));
+        let known = |row: &AnyRow| Some((row.plain("id"), sort(row).ok()?));
         rows.iter().filter_map(known).map(|(id, sort)| Ok((id?, sort))).collect()
     }
 
     /// What the last jobs that succeeded at the first attempt were, and how long each took, s.
     pub async fn times_taken(&self) -> Result<Vec<(Sort, f64)>> {
         let sql = "SELECT kind, CASE kind WHEN 'calibration' THEN spec ->> '$.calibration.settings.method' END AS method, \
-                   (finished_at - started_at) / 1000.0 AS seconds FROM job \
-                   WHERE state = 'succeeded' AND attempts = 1 ORDER BY seq DESC LIMIT ?1";
+                   CAST(finished_at - started_at AS DOUBLE PRECISION) / 1000 AS seconds FROM job \
+                   WHERE state = 'succeeded' AND attempts = 1 ORDER BY seq DESC LIMIT $1";
         let rows = sqlx::query(sql).bind(TIMES_MAX).fetch_all(&self.reader).await?;
         rows.iter().map(|row| Ok((sort(row)?, row.plain("seconds")?))).collect()
     }
@@ -202,8 +202,8 @@ impl Store {
         simulator: Option<&str>,
     ) -> Result<Option<String>> {
         let sql = "SELECT id FROM job WHERE kind = 'calibration' AND state IN ('queued', 'running') \
-                   AND spec ->> '$.calibration.powder' = ?1 \
-                   AND spec ->> '$.calibration.under.simulator' IS ?2 ORDER BY seq LIMIT 1";
+                   AND spec ->> '$.calibration.powder' = $1 \
+                   AND spec ->> '$.calibration.under.simulator' IS NOT DISTINCT FROM $2 ORDER BY seq LIMIT 1";
         let query = sqlx::query_scalar(sql).bind(powder).bind(simulator);
         Ok(query.fetch_optional(&self.reader).await?)
     }
@@ -217,9 +217,9 @@ impl Store {
         simulator: Option<&str>,
     ) -> Result<Option<String>> {
         let sql = "SELECT id FROM job WHERE kind = 'calibration' AND state = 'succeeded' \
-                   AND spec ->> '$.calibration.powder' IS ?1 \
-                   AND (?1 IS NOT NULL OR spec ->> '$.calibration.target.repose_deg' = ?2) \
-                   AND spec ->> '$.calibration.under.simulator' IS ?3 ORDER BY seq DESC LIMIT 1";
+                   AND spec ->> '$.calibration.powder' IS NOT DISTINCT FROM $1 \
+                   AND ($1 IS NOT NULL OR CAST(spec ->> '$.calibration.target.repose_deg' AS DOUBLE PRECISION) = $2) \
+                   AND spec ->> '$.calibration.under.simulator' IS NOT DISTINCT FROM $3 ORDER BY seq DESC LIMIT 1";
         let query = sqlx::query_scalar(sql).bind(powder).bind(repose_deg).bind(simulator);
         Ok(query.fetch_optional(&self.reader).await?)
     }
@@ -239,7 +239,7 @@ impl Tx {
     ) -> Result<(Job, bool)> {
         let labels = Some(labels).filter(|labels| !labels.is_empty()).map(json).transpose()?;
         let sql =
-            "SELECT * FROM job WHERE spec_sha256 = ?1 AND state NOT IN ('failed', 'cancelled')";
+            "SELECT * FROM job WHERE spec_sha256 = $1 AND state NOT IN ('failed', 'cancelled')";
         if let Some(row) =
             sqlx::query(sql).bind(spec_sha256).fetch_optional(&mut *self.inner).await?
         {
@@ -250,7 +250,7 @@ impl Tx {
             };
         }
         let sql = "INSERT INTO job (id, kind, spec, spec_sha256, state, message, created_at, subject, again_of, labels) \
-                   VALUES (?1, ?2, ?3, ?4, 'queued', 'waits for a worker', ?5, ?6, ?7, ?8) RETURNING *";
+                   VALUES ($1, $2, $3, $4, 'queued', 'waits for a worker', $5, $6, $7, $8) RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(word(&kind))
@@ -267,17 +267,17 @@ impl Tx {
 
     /// Write labels on a job that another request made; of equal keys the last one counts.
     async fn label_job(&mut self, id: &str, labels: &str) -> Result<Job> {
-        let sql = "UPDATE job SET labels = json_patch(coalesce(labels, '{}'), ?2) WHERE id = ?1 RETURNING *";
+        let sql = "UPDATE job SET labels = json_patch(coalesce(labels, '{}'), $2) WHERE id = $1 RETURNING *";
         job(&sqlx::query(sql).bind(id).bind(labels).fetch_one(&mut *self.inner).await?)
     }
 
     /// Request that a job end: a queued one is cancelled at once, a running one once its worker
     /// notices. `None`: it has already ended, or never existed.
     pub async fn request_cancel(&mut self, id: &str, now: Timestamp) -> Result<Option<Job>> {
-        let sql = "UPDATE job SET cancel_requested = 1,
-                       finished_at = CASE state WHEN 'queued' THEN ?2 END,
+        let sql = "UPDATE job SET cancel_requested = TRUE,
+                       finished_at = CASE state WHEN 'queued' THEN $2 END,
                        state = CASE state WHEN 'queued' THEN 'cancelled' ELSE state END
-                   WHERE id = ?1 AND state IN ('queued', 'running') RETURNING *";
+                   WHERE id = $1 AND state IN ('queued', 'running') RETURNING *";
         let row =
             sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
         match row {
@@ -287,27 +287,27 @@ impl Tx {
     }
 
     /// Notify followers of a job's new state.
-    pub(super) async fn announce_job(&mut self, row: &SqliteRow) -> Result<Job> {
+    pub(super) async fn announce_job(&mut self, row: &AnyRow) -> Result<Job> {
         let job = job(row)?;
         self.emit(&job_topic(&job.id), "state", &job).await?;
         Ok(job)
     }
 }
 
-/// Where SQLite finds the label with this key, which has no quotation marks.
+/// Where the database finds the label with this key, which has no quotation marks.
 pub(super) fn path_of(key: &str) -> String {
     format!("$.\"{key}\"")
 }
 
-fn sort(row: &SqliteRow) -> Result<Sort> {
+fn sort(row: &AnyRow) -> Result<Sort> {
     Ok(Sort { kind: row.word("job", "kind")?, method: row.plain("method")? })
 }
 
-fn job_row(row: &SqliteRow) -> Result<JobRow> {
+fn job_row(row: &AnyRow) -> Result<JobRow> {
     Ok(JobRow { job: job(row)?, spec: row.plain("spec")?, result: row.plain("result")? })
 }
 
-pub(super) fn job(row: &SqliteRow) -> Result<Job> {
+pub(super) fn job(row: &AnyRow) -> Result<Job> {
     let mut state: JobState = row.word("job", "state")?;
     let mut message: String = row.plain("message")?;
     let lease_until: Option<i64> = row.plain("lease_until")?;
@@ -327,7 +327,7 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
         again_of: row.plain("again_of")?,
         labels: row.maybe_json("labels")?.unwrap_or_default(),
         attempts: row.count("attempts")?,
-        cancelling: row.plain::<bool>("cancel_requested")? && !state.is_terminal(),
+        cancelling: row.flag("cancel_requested")? && !state.is_terminal(),
         created_at: row.time("created_at")?,
         started_at: row.maybe_time("started_at")?,
         finished_at: row.maybe_time("finished_at")?,
@@ -336,7 +336,7 @@ pub(super) fn job(row: &SqliteRow) -> Result<Job> {
 }
 
 /// Time left at the pace since the present attempt was claimed, s.
-pub(super) fn left_s(row: &SqliteRow) -> Result<Option<f64>> {
+pub(super) fn left_s(row: &AnyRow) -> Result<Option<f64>> {
     let Some(claimed_at) = row.plain::<Option<i64>>("claimed_at")? else { return Ok(None) };
     let (now_at, began): (f64, Option<f64>) =
         (row.plain("fraction")?, row.plain("claimed_fraction")?);

@@ -2,10 +2,11 @@
 
 use super::page::{Page, Window};
 use super::row::{Columns, json, word};
+use super::sql::Flag;
 use super::{Result, Store, Tx};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 use std::collections::HashMap;
 
 /// Topic of the events of labels.
@@ -136,9 +137,9 @@ macro_rules! shown {
             $kind,
             " AND l.id = ",
             $id,
-            " AND t.value = ",
+            " AND lower(t.value) = lower(",
             $tag,
-            " COLLATE NOCASE))"
+            ")))"
         )
     };
 }
@@ -151,7 +152,7 @@ impl Store {
         &self,
         sql: &'static str,
         window: &Window,
-    ) -> Result<Vec<SqliteRow>> {
+    ) -> Result<Vec<AnyRow>> {
         let rows = sqlx::query(sql)
             .bind(window.before())
             .bind(window.rows())
@@ -162,14 +163,14 @@ impl Store {
 
     /// The label of one thing, if anybody has changed it.
     pub async fn label(&self, kind: LabelKind, id: &str) -> Result<Option<Label>> {
-        let query = sqlx::query("SELECT * FROM label WHERE kind = ?1 AND id = ?2");
+        let query = sqlx::query("SELECT * FROM label WHERE kind = $1 AND id = $2");
         let row = query.bind(word(&kind)).bind(id).fetch_optional(&self.reader).await?;
         row.as_ref().map(label).transpose()
     }
 
     /// The labels of these things of one kind, by id.
     pub async fn labels_of(&self, kind: LabelKind, ids: &[&str]) -> Result<HashMap<String, Label>> {
-        let sql = "SELECT * FROM label WHERE kind = ?1 AND id IN (SELECT value FROM json_each(?2))";
+        let sql = "SELECT * FROM label WHERE kind = $1 AND id IN (SELECT value FROM json_each($2))";
         let rows = sqlx::query(sql).bind(word(&kind)).bind(json(&ids)?);
         let rows = rows.fetch_all(&self.reader).await?;
         rows.iter().map(label).map(|it| it.map(|it| (it.id.clone(), it))).collect()
@@ -178,9 +179,9 @@ impl Store {
     /// Labels, the one first made first; of one kind if given.
     pub async fn labels(&self, kind: Option<LabelKind>, window: Window) -> Result<Page<Label>> {
         let sql = concat!(
-            "SELECT * FROM label WHERE seq > ?1 AND (?3 IS NULL OR kind = ?3) AND ",
-            shown!("label.kind", "label.id", "?4", "?5"),
-            " ORDER BY seq LIMIT ?2"
+            "SELECT * FROM label WHERE seq > $1 AND ($3 IS NULL OR kind = $3) AND ",
+            shown!("label.kind", "label.id", "$4", "$5"),
+            " ORDER BY seq LIMIT $2"
         );
         let rows = sqlx::query(sql)
             .bind(window.after())
@@ -195,21 +196,23 @@ impl Store {
 
     /// Whether any weighing names this list of doses.
     pub async fn is_dose_list(&self, name: &str) -> Result<bool> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE asked ->> 'list' = ?1)";
-        Ok(sqlx::query_scalar(sql).bind(name).fetch_one(&self.reader).await?)
+        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE asked ->> 'list' = $1)";
+        let Flag(is) = sqlx::query_scalar(sql).bind(name).fetch_one(&self.reader).await?;
+        Ok(is)
     }
 
     /// Whether a dose of this list has not ended.
     pub async fn is_list_unfinished(&self, name: &str) -> Result<bool> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE asked ->> 'list' = ?1 AND outcome IS NULL)";
-        Ok(sqlx::query_scalar(sql).bind(name).fetch_one(&self.reader).await?)
+        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE asked ->> 'list' = $1 AND outcome IS NULL)";
+        let Flag(is) = sqlx::query_scalar(sql).bind(name).fetch_one(&self.reader).await?;
+        Ok(is)
     }
 }
 
 impl Tx {
     /// The label of one thing as of this transaction.
     pub async fn label(&mut self, kind: LabelKind, id: &str) -> Result<Option<Label>> {
-        let query = sqlx::query("SELECT * FROM label WHERE kind = ?1 AND id = ?2");
+        let query = sqlx::query("SELECT * FROM label WHERE kind = $1 AND id = $2");
         let row = query.bind(word(&kind)).bind(id).fetch_optional(&mut *self.inner).await?;
         row.as_ref().map(label).transpose()
     }
@@ -217,8 +220,8 @@ impl Tx {
     /// Store a label in place of the one before.
     pub async fn set_label(&mut self, label: &Label) -> Result<()> {
         let sql = "INSERT INTO label (kind, id, name, note, tags, archived_at, changed_at, changed_by) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8) ON CONFLICT (kind, id) DO UPDATE SET name = ?3, note = ?4, \
-                   tags = ?5, archived_at = ?6, changed_at = ?7, changed_by = ?8";
+                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8) ON CONFLICT (kind, id) DO UPDATE SET name = $3, note = $4, \
+                   tags = $5, archived_at = $6, changed_at = $7, changed_by = $8";
         let ms = |at: Option<Timestamp>| at.map(|at| at.unix_ms());
         sqlx::query(sql)
             .bind(word(&label.kind))
@@ -236,7 +239,7 @@ impl Tx {
 
     /// Rename a powder.
     pub async fn rename_powder(&mut self, id: &str, name: &str) -> Result<()> {
-        let query = sqlx::query("UPDATE powder SET name = ?2 WHERE id = ?1");
+        let query = sqlx::query("UPDATE powder SET name = $2 WHERE id = $1");
         query.bind(id).bind(name).execute(&mut *self.inner).await?;
         Ok(())
     }
@@ -249,7 +252,7 @@ impl Tx {
 }
 
 /// A label as stored; also what the record says of it.
-pub(super) fn label(row: &SqliteRow) -> Result<Label> {
+pub(super) fn label(row: &AnyRow) -> Result<Label> {
     Ok(Label {
         kind: row.word("label", "kind")?,
         id: row.plain("id")?,

@@ -25,7 +25,7 @@ use super::{Error, Result, Store, Tx};
 use flip_core::domain::job::{JobKind, JobState, Progress};
 use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// Number of attempts that may end in an error or a panic before the job fails for good.
 pub const FAILURES_MAX: u32 = 3;
@@ -71,13 +71,13 @@ impl Store {
     /// The job of each kind that has waited longest, oldest first: queued, or left by a worker
     /// whose lease has expired. A kind that is not known here waits for a program that knows it.
     pub async fn claimable(&self, now: Timestamp) -> Result<Vec<(JobKind, String)>> {
-        // The list of states and the plus let the index of unfinished jobs answer: an idle worker
+        // The list of states and the kind that is no column let the index of unfinished jobs answer: an idle worker
         // must not read the history.
         let sql = "SELECT id, kind FROM job WHERE seq IN \
                    (SELECT min(seq) FROM job WHERE state IN ('queued', 'running') \
-                    AND (state = 'queued' OR lease_until < ?1) GROUP BY +kind) ORDER BY seq";
+                    AND (state = 'queued' OR lease_until < $1) GROUP BY kind || '') ORDER BY seq";
         let rows = sqlx::query(sql).bind(now.unix_ms()).fetch_all(&self.reader).await?;
-        let known = |row: &SqliteRow| Some((row.word("job", "kind").ok()?, row.plain("id")));
+        let known = |row: &AnyRow| Some((row.word("job", "kind").ok()?, row.plain("id")));
         rows.iter().filter_map(known).map(|(kind, id)| Ok((kind, id?))).collect()
     }
 
@@ -103,7 +103,7 @@ impl Tx {
         now: Timestamp,
         until: Timestamp,
     ) -> Result<Claim> {
-        let row = sqlx::query("SELECT * FROM job WHERE id = ?1")
+        let row = sqlx::query("SELECT * FROM job WHERE id = $1")
             .bind(id)
             .fetch_optional(&mut *self.inner)
             .await?;
@@ -115,7 +115,7 @@ impl Tx {
         if state == JobState::Running && row.plain::<i64>("lease_until")? >= now.unix_ms() {
             return Ok(Claim::Held(row.time("lease_until")?));
         }
-        if row.plain("cancel_requested")? {
+        if row.flag("cancel_requested")? {
             self.end_unclaimed(id, JobState::Cancelled, None, now).await?;
             return Ok(Claim::Ended);
         }
@@ -138,16 +138,16 @@ impl Tx {
         now: Timestamp,
         until: Timestamp,
     ) -> Result<Claim> {
-        let sql = "UPDATE job SET state = 'running', fence = fence + 1, attempts = attempts + 1, deaths = ?5, \
-                   owner = ?2, lease_until = ?3, message = 'begins', started_at = coalesce(started_at, ?4), \
-                   claimed_at = ?4, claimed_fraction = fraction \
-                   WHERE id = ?1 RETURNING *";
+        let sql = "UPDATE job SET state = 'running', fence = fence + 1, attempts = attempts + 1, deaths = $5, \
+                   owner = $2, lease_until = $3, message = 'begins', started_at = coalesce(started_at, $4), \
+                   claimed_at = $4, claimed_fraction = fraction \
+                   WHERE id = $1 RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(owner)
             .bind(until.unix_ms())
             .bind(now.unix_ms())
-            .bind(deaths)
+            .bind(i64::from(deaths))
             .fetch_one(&mut *self.inner)
             .await?;
         let job = self.announce_job(&row).await?;
@@ -162,7 +162,7 @@ impl Tx {
     /// Drop the checkpoint of a job that ends: nothing will resume from it.
     async fn unname_checkpoint(&mut self, id: &str) -> Result<()> {
         let old = sqlx::query_scalar(
-            "SELECT checkpoint FROM job WHERE id = ?1 AND checkpoint IS NOT NULL",
+            "SELECT checkpoint FROM job WHERE id = $1 AND checkpoint IS NOT NULL",
         );
         let old: Option<String> = old.bind(id).fetch_optional(&mut *self.inner).await?;
         self.unnamed.extend(old);
@@ -177,8 +177,8 @@ impl Tx {
         now: Timestamp,
     ) -> Result<()> {
         self.unname_checkpoint(id).await?;
-        let sql = "UPDATE job SET state = ?2, error = coalesce(?3, error), owner = NULL, lease_until = NULL, \
-                   checkpoint = NULL, finished_at = ?4 WHERE id = ?1 RETURNING *";
+        let sql = "UPDATE job SET state = $2, error = coalesce($3, error), owner = NULL, lease_until = NULL, \
+                   checkpoint = NULL, finished_at = $4 WHERE id = $1 RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(super::row::word(&state))
@@ -192,15 +192,15 @@ impl Tx {
 
     /// Renew a lease until `until`; returns whether cancellation was requested.
     pub async fn renew(&mut self, lease: &Lease, until: Timestamp) -> Result<bool> {
-        let sql = "UPDATE job SET lease_until = ?3 WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
+        let sql = "UPDATE job SET lease_until = $3 WHERE id = $1 AND fence = $2 AND state = 'running' RETURNING *";
         let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(until.unix_ms());
-        held(row.fetch_optional(&mut *self.inner).await?)?.plain("cancel_requested")
+        held(row.fetch_optional(&mut *self.inner).await?)?.flag("cancel_requested")
     }
 
     /// Fail unless a lease is valid. In a transaction that holds the write lock it stays valid to
     /// the end.
-    pub async fn prove(&mut self, lease: &Lease) -> Result<SqliteRow> {
-        let sql = "SELECT * FROM job WHERE id = ?1 AND fence = ?2 AND state = 'running'";
+    pub async fn prove(&mut self, lease: &Lease) -> Result<AnyRow> {
+        let sql = "SELECT * FROM job WHERE id = $1 AND fence = $2 AND state = 'running'";
         let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence);
         held(row.fetch_optional(&mut *self.inner).await?)
     }
@@ -208,15 +208,15 @@ impl Tx {
     /// Something new was saved: earlier failures and deaths no longer count.
     pub async fn advance(&mut self, lease: &Lease) -> Result<()> {
         self.prove(lease).await?;
-        let sql = "UPDATE job SET failures = 0, deaths = 0, error = NULL WHERE id = ?1";
+        let sql = "UPDATE job SET failures = 0, deaths = 0, error = NULL WHERE id = $1";
         sqlx::query(sql).bind(&lease.job).execute(&mut *self.inner).await?;
         Ok(())
     }
 
     /// Report the progress of a job.
     pub async fn report(&mut self, lease: &Lease, progress: &Progress) -> Result<()> {
-        let sql = "UPDATE job SET fraction = ?3, message = ?4 \
-                   WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
+        let sql = "UPDATE job SET fraction = $3, message = $4 \
+                   WHERE id = $1 AND fence = $2 AND state = 'running' RETURNING *";
         // A fraction that is not a number would violate the row's check constraint and fail the
         // job.
         let fraction =
@@ -236,7 +236,7 @@ impl Tx {
         let old: Option<String> = self.prove(lease).await?.plain("checkpoint")?;
         self.unnamed.extend(old.filter(|old| old != sha256));
         self.advance(lease).await?;
-        let sql = "UPDATE job SET checkpoint = ?2 WHERE id = ?1";
+        let sql = "UPDATE job SET checkpoint = $2 WHERE id = $1";
         sqlx::query(sql).bind(&lease.job).bind(sha256).execute(&mut *self.inner).await?;
         Ok(())
     }
@@ -244,9 +244,9 @@ impl Tx {
     /// Record that the job succeeded, with its result.
     pub async fn succeed(&mut self, lease: &Lease, result: &str, now: Timestamp) -> Result<()> {
         self.unname_checkpoint(&lease.job).await?;
-        let sql = "UPDATE job SET state = 'succeeded', result = ?3, fraction = 1, message = 'done', error = NULL, \
-                   owner = NULL, lease_until = NULL, checkpoint = NULL, finished_at = ?4 \
-                   WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
+        let sql = "UPDATE job SET state = 'succeeded', result = $3, fraction = 1, message = 'done', error = NULL, \
+                   owner = NULL, lease_until = NULL, checkpoint = NULL, finished_at = $4 \
+                   WHERE id = $1 AND fence = $2 AND state = 'running' RETURNING *";
         let row =
             sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(result).bind(now.unix_ms());
         let row = held(row.fetch_optional(&mut *self.inner).await?)?;
@@ -274,11 +274,11 @@ impl Tx {
                 format!("gave up after {failures} attempts with nothing saved in between: {error}");
             return self.end_unclaimed(&lease.job, JobState::Failed, Some(&error), now).await;
         }
-        let sql = "UPDATE job SET state = 'queued', failures = ?2, error = ?3, message = 'waits to be tried again', \
-                   owner = NULL, lease_until = NULL WHERE id = ?1 RETURNING *";
+        let sql = "UPDATE job SET state = 'queued', failures = $2, error = $3, message = 'waits to be tried again', \
+                   owner = NULL, lease_until = NULL WHERE id = $1 RETURNING *";
         let row = sqlx::query(sql)
             .bind(&lease.job)
-            .bind(failures)
+            .bind(i64::from(failures))
             .bind(error)
             .fetch_one(&mut *self.inner)
             .await?;
@@ -288,7 +288,7 @@ impl Tx {
     /// The worker shuts down: requeue the job as if the attempt had not happened.
     pub async fn release(&mut self, lease: &Lease) -> Result<()> {
         let sql = "UPDATE job SET state = 'queued', message = 'waits for a worker', attempts = attempts - 1, \
-                   owner = NULL, lease_until = NULL WHERE id = ?1 AND fence = ?2 AND state = 'running' RETURNING *";
+                   owner = NULL, lease_until = NULL WHERE id = $1 AND fence = $2 AND state = 'running' RETURNING *";
         let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence);
         let row = held(row.fetch_optional(&mut *self.inner).await?)?;
         self.announce_job(&row).await.map(drop)
@@ -304,7 +304,7 @@ struct Reported<'a> {
     left_s: Option<f64>,
 }
 
-fn held(row: Option<SqliteRow>) -> Result<SqliteRow> {
+fn held(row: Option<AnyRow>) -> Result<AnyRow> {
     row.ok_or(Error::Fenced)
 }
 

@@ -1,8 +1,12 @@
-//! All SQL and all stored files: one SQLite database and a folder of content-addressed artifacts.
+//! All SQL and all stored files: one database and a folder of content-addressed artifacts.
+//!
+//! The database is a file of SQLite in that folder, or one on a server of PostgreSQL. Statements are
+//! written once, for both: `sql.rs` says how, `sqlite.rs` and `postgres.rs` hold what only one has.
 //!
 //! One connection writes and four read; two more read for answers that grow with the whole history.
-//! A transaction that writes begins with `BEGIN IMMEDIATE`: a deferred one that reads first and
-//! writes later can fail with a snapshot conflict, which the busy timeout does not cover.
+//! A transaction that writes begins with a lock that only one has. In SQLite that is `BEGIN
+//! IMMEDIATE`: a deferred one that reads first and writes later can fail with a snapshot conflict,
+//! which the busy timeout does not cover.
 
 pub mod archive;
 pub mod archiving;
@@ -32,12 +36,15 @@ pub mod parameter_sets;
 pub mod piles;
 mod place;
 pub mod policies;
+mod postgres;
 pub mod powders;
 mod row;
 pub mod said;
 pub mod simulators;
 mod sound;
 pub mod spoonfuls;
+mod sql;
+mod sqlite;
 mod stock;
 pub mod stops;
 pub mod tokens;
@@ -57,7 +64,8 @@ use artifacts::Artifacts;
 use flip_core::domain::timestamp::Timestamp;
 use lock::DataLock;
 use place::Place;
-use sqlx::{Sqlite, SqlitePool, Transaction};
+use postgres::Server;
+use sqlx::{Any, AnyPool, Transaction};
 use std::sync::{Arc, Mutex, PoisonError};
 use tempfile::TempDir;
 use tokio::sync::watch;
@@ -65,18 +73,20 @@ use tokio::sync::watch;
 /// An open data folder. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Store {
-    reader: SqlitePool,
+    reader: AnyPool,
     /// One more read connection, for queries that must not wait behind other readers.
-    apart: SqlitePool,
+    apart: AnyPool,
     /// For answers that grow with the whole history: nobody else waits for these.
-    long: SqlitePool,
+    long: AnyPool,
     /// `None` when opened read-only.
-    writer: Option<SqlitePool>,
+    writer: Option<AnyPool>,
     artifacts: Artifacts,
     archives: Archives,
     /// Number of the latest committed event.
     newest_event: watch::Sender<i64>,
-    /// The open database: its path, and the file found there.
+    /// The database on a server; `None` when it is the file in the data folder.
+    server: Option<Arc<Server>>,
+    /// What shows that the data folder is where it was: SQLite's file, else the lock.
     place: Place,
     /// Error of the last write transaction, if it failed.
     unwritten: Arc<Mutex<Option<String>>>,
@@ -96,16 +106,31 @@ impl Store {
     pub async fn write(&self) -> Result<Tx> {
         let writer = self.writer()?;
         self.place.check()?;
-        let begun = writer.begin_with("BEGIN IMMEDIATE").await.map_err(Error::from);
+        let begun = self.begin(writer).await;
         let inner = begun.inspect_err(|error| self.note_written(Some(error)))?;
         Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
+    }
+
+    /// Begin with the lock that only one transaction has.
+    async fn begin(&self, writer: &AnyPool) -> Result<Transaction<'static, Any>> {
+        if !self.is_postgres() {
+            return Ok(writer.begin_with("BEGIN IMMEDIATE").await?);
+        }
+        // In two steps: a transaction that does not get the lock must be rolled back.
+        let mut begun = writer.begin_with(postgres::BEGIN).await?;
+        postgres::lock(&mut begun).await?;
+        Ok(begun)
+    }
+
+    fn is_postgres(&self) -> bool {
+        self.server.is_some()
     }
 
     /// The write connection.
     ///
     /// # Errors
     /// [`Error::ReadOnly`].
-    pub fn writer(&self) -> Result<&SqlitePool> {
+    pub fn writer(&self) -> Result<&AnyPool> {
         self.writer.as_ref().ok_or(Error::ReadOnly)
     }
 
@@ -132,12 +157,17 @@ impl Store {
     /// Close every connection, after checkpointing the write-ahead log into the database.
     /// Idempotent.
     pub async fn close(&self) {
+        if let Some(server) = &self.server {
+            server.close().await;
+        }
         // Readers would block the checkpoint.
         self.reader.close().await;
         self.apart.close().await;
         self.long.close().await;
         if let Some(writer) = self.writer.as_ref().filter(|writer| !writer.is_closed()) {
-            if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await
+            if !self.is_postgres()
+                && let Err(error) =
+                    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await
             {
                 tracing::warn!(%error, "the write-ahead log was not checkpointed; SQLite does it at the next start");
             }
@@ -149,7 +179,7 @@ impl Store {
 /// A write transaction. Dropping it rolls everything back.
 #[derive(Debug)]
 pub struct Tx {
-    inner: Transaction<'static, Sqlite>,
+    inner: Transaction<'static, Any>,
     store: Store,
     newest_event: Option<i64>,
     /// Artifacts that this transaction's rows no longer name.
@@ -168,9 +198,7 @@ impl Tx {
         self.store.note_written(committed.as_ref().err());
         committed?;
         if let Some(seq) = self.newest_event {
-            self.store
-                .newest_event
-                .send_if_modified(|newest| std::mem::replace(newest, seq.max(*newest)) < seq);
+            events::tell(&self.store.newest_event, seq);
         }
         for sha256 in self.unnamed {
             if let Err(error) = self.store.forget_artifact(&sha256).await {
@@ -192,3 +220,8 @@ pub fn now() -> Timestamp {
 pub fn new_id() -> String {
     uuid::Uuid::now_v7().to_string()
 }
+
+#[cfg(test)]
+mod either_tests;
+#[cfg(test)]
+mod testing;

@@ -48,6 +48,11 @@ impl DataLock {
         Ok(Self { path, file, _folder: folder })
     }
 
+    /// The lock file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Whether the lock file is still the one that was locked.
     pub fn is_in_place(&self) -> bool {
         let ours = self.file.metadata().ok().map(|it| (it.dev(), it.ino()));

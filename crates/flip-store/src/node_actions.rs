@@ -4,7 +4,7 @@ use super::row::Columns;
 use super::{Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde_json::Value;
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// An action that a workcell created.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,7 +32,7 @@ pub enum Fate {
     Refused(Value),
 }
 
-fn action(row: &SqliteRow) -> Result<NodeAction> {
+fn action(row: &AnyRow) -> Result<NodeAction> {
     let (made, refused): (Option<String>, _) = (row.plain("made")?, row.maybe_json("refused")?);
     Ok(NodeAction {
         id: row.plain("id")?,
@@ -56,7 +56,7 @@ impl Store {
 
     /// One action.
     pub async fn node_action(&self, id: &str) -> Result<Option<NodeAction>> {
-        let row = sqlx::query("SELECT * FROM node_action WHERE id = ?1")
+        let row = sqlx::query("SELECT * FROM node_action WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.reader)
             .await?;
@@ -66,8 +66,8 @@ impl Store {
     /// The newest actions, at most `limit`.
     pub async fn node_actions(&self, limit: u32) -> Result<Vec<NodeAction>> {
         let rows =
-            sqlx::query("SELECT * FROM node_action ORDER BY created_at DESC, id DESC LIMIT ?1")
-                .bind(limit)
+            sqlx::query("SELECT * FROM node_action ORDER BY created_at DESC, id DESC LIMIT $1")
+                .bind(i64::from(limit))
                 .fetch_all(&self.reader)
                 .await?;
         rows.iter().map(action).collect()
@@ -88,7 +88,7 @@ impl Store {
 impl Tx {
     /// Create an action.
     pub async fn create_node_action(&mut self, id: &str, name: &str, args: &Value) -> Result<()> {
-        sqlx::query("INSERT INTO node_action (id, name, args, created_at) VALUES (?1, ?2, ?3, ?4)")
+        sqlx::query("INSERT INTO node_action (id, name, args, created_at) VALUES ($1, $2, $3, $4)")
             .bind(id)
             .bind(name)
             .bind(args.to_string())
@@ -106,8 +106,8 @@ impl Tx {
             Fate::Refused(problem) => (None, Some(problem.to_string())),
         };
         sqlx::query(
-            "UPDATE node_action SET made = ?2, refused = ?3
-             WHERE id = ?1 AND made IS NULL AND refused IS NULL",
+            "UPDATE node_action SET made = $2, refused = $3
+             WHERE id = $1 AND made IS NULL AND refused IS NULL",
         )
         .bind(id)
         .bind(made)

@@ -8,7 +8,7 @@ use super::{Result, Store, Tx, new_id, now};
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// One registered observation of a powder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,7 +45,7 @@ impl Store {
         window: Window,
     ) -> Result<Page<PowderObservation>> {
         let rows = sqlx::query(
-            "SELECT * FROM observation_all WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3",
+            "SELECT * FROM observation_all WHERE powder = $1 AND seq > $2 ORDER BY seq LIMIT $3",
         )
         .bind(powder)
         .bind(window.after())
@@ -57,7 +57,7 @@ impl Store {
 
     /// Every observation that counts, oldest first; of one powder if given.
     pub async fn all_observations(&self, powder: Option<&str>) -> Result<Vec<PowderObservation>> {
-        let sql = "SELECT * FROM observation_all WHERE withdrawn_at IS NULL AND (?1 IS NULL OR powder = ?1) ORDER BY seq";
+        let sql = "SELECT * FROM observation_all WHERE withdrawn_at IS NULL AND ($1 IS NULL OR powder = $1) ORDER BY seq";
         sqlx::query(sql)
             .bind(powder)
             .fetch_all(&self.reader)
@@ -74,7 +74,7 @@ impl Store {
         powder: Option<&str>,
         after: i64,
     ) -> Result<(Vec<PowderObservation>, i64)> {
-        let sql = "SELECT * FROM observation_all WHERE seq > ?2 AND withdrawn_at IS NULL AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
+        let sql = "SELECT * FROM observation_all WHERE seq > $2 AND withdrawn_at IS NULL AND ($1 IS NULL OR powder = $1) ORDER BY seq LIMIT $3";
         self.batch(sql, powder, after, observation).await
     }
 
@@ -106,7 +106,7 @@ impl Tx {
         observed: &Observation,
         origin: &Origin,
     ) -> Result<PowderObservation> {
-        let sql = "INSERT INTO observation (id, powder, body, source, created_at, measured_on) VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING *, NULL AS withdrawn_at";
+        let sql = "INSERT INTO observation (id, powder, body, source, created_at, measured_on) VALUES ($1, $2, $3, $4, $5, $6) RETURNING *, NULL AS withdrawn_at";
         let row = sqlx::query(sql)
             .bind(new_id())
             .bind(powder)
@@ -120,7 +120,7 @@ impl Tx {
     }
 }
 
-pub(super) fn observation(row: &SqliteRow) -> Result<PowderObservation> {
+pub(super) fn observation(row: &AnyRow) -> Result<PowderObservation> {
     let Observation { observable, mean, sd, n } = row.json("body")?;
     Ok(PowderObservation {
         id: row.plain("id")?,

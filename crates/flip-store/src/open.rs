@@ -1,37 +1,28 @@
-//! Opening a data folder: lock, connect, check, migrate, seed.
+//! Opening a store: lock, connect, check, migrate, seed.
 
 use super::archive::{self, Archives};
 use super::artifacts::Artifacts;
+use super::events::NEWEST;
 use super::lock::DataLock;
 use super::place::Place;
-use super::{Error, Result, Store, sound};
-use sqlx::migrate::Migrator;
-use sqlx::sqlite::{
-    SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous,
-};
-use sqlx::{Row, SqlitePool};
+use super::postgres::{self, Server};
+use super::sqlite::{self, DATABASE};
+use super::{Result, Store, sound};
+use sqlx::AnyPool;
+use sqlx::any::AnyPoolOptions;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
 use tokio::sync::watch;
 
-/// Name of the database in the data folder.
-pub(super) const DATABASE: &str = "flip.db";
-/// How long a statement waits for another connection's lock.
-const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long to wait for the write connection: longer than two other users wait for another
 /// program's lock.
-const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long a health check waits for a lock.
-const GIVES_UP: Duration = Duration::from_millis(250);
+pub(super) const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Number of read connections.
 const READERS: u32 = 4;
 /// Number of read connections for long answers only.
 const LONG_READERS: u32 = 2;
-/// The first SQLite version whose write-ahead log cannot be reset under a reader (3.7.0 to 3.51.2
-/// can corrupt the file).
-const SQLITE_MIN: [u32; 3] = [3, 51, 3];
 
 impl Store {
     /// Open a data folder for reading and writing; create, migrate and seed it when needed.
@@ -44,16 +35,59 @@ impl Store {
         let lock = DataLock::take(data_dir)?;
         let database = data_dir.join(DATABASE);
         sound::prepare(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))?;
-        let writer = write_connection(connection(data_dir)).await?;
-        check_library(&writer).await?;
+        let file = sqlite::prepared(data_dir).await?;
+        sqlite::check_library(&file).await?;
         sound::check(&database).await?;
-        sound::check_version(&writer, &migrations()).await?;
-        migrations().run(&writer).await.map_err(sqlx::Error::from)?;
+        sound::check_version(&file, &sqlite::migrations()).await?;
+        sqlite::migrations().run(&file).await.map_err(sqlx::Error::from)?;
+        let writer = sqlite::writer(data_dir).await?;
+        // Not the last one: that would move the write-ahead log into the database.
+        file.close().await;
         let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock)), None).await?;
-        store.seed_published_powders().await?;
-        store.take_stock().await?;
-        store.sweep_artifacts().await?;
-        Ok(store)
+        store.begin_work().await
+    }
+
+    /// Open a database on a server of PostgreSQL for reading and writing, at an address like
+    /// `postgres://user@host/flip`; migrate and seed it when needed. Files are kept in the data
+    /// folder, which must not be another process's.
+    ///
+    /// # Errors
+    /// [`Error::Server`] if it cannot be used, [`Error::Unreachable`]; [`Error::Held`] while another
+    /// process has the folder or serves the database; [`Error::Newer`], [`Error::Database`], [`Error::File`].
+    pub async fn open_on(database_url: &str, data_dir: &Path) -> Result<Self> {
+        sound::make_folder(data_dir)?;
+        let lock = DataLock::take(data_dir)?;
+        let address = postgres::address(database_url)?;
+        let alone = postgres::prepare(database_url).await?;
+        let writer = postgres::writer(address.clone()).await?;
+        let reader = postgres::readers(address.clone(), connections(READERS)).await?;
+        let apart = postgres::readers(address.clone(), connections(1)).await?;
+        let long = postgres::readers(address.clone(), connections(LONG_READERS)).await?;
+        let newest_event = watch::Sender::new(newest_event(&reader).await?);
+        let server = Server::new(address, alone, newest_event.clone(), apart.clone());
+        let store = Self {
+            reader,
+            apart,
+            long,
+            writer: Some(writer),
+            artifacts: artifacts(data_dir),
+            archives: archives(data_dir),
+            newest_event,
+            server: Some(Arc::new(server)),
+            place: Place::of(lock.path())?,
+            unwritten: Arc::default(),
+            lock: Some(Arc::new(lock)),
+            _copied: None,
+        };
+        store.begin_work().await
+    }
+
+    /// What every start does.
+    async fn begin_work(self) -> Result<Self> {
+        self.seed_published_powders().await?;
+        self.take_stock().await?;
+        self.sweep_artifacts().await?;
+        Ok(self)
     }
 
     /// Open an existing data folder read-only, even while another process writes.
@@ -64,10 +98,10 @@ impl Store {
     /// # Errors
     /// [`Error::Database`] when there is none; [`Error::Newer`].
     pub async fn open_to_read(data_dir: &Path) -> Result<Self> {
-        let database = connections(1).connect_with(connection(data_dir).read_only(true)).await?;
-        sound::check_version(&database, &migrations()).await?;
-        let copied = match sound::is_older(&database, &migrations()).await? {
-            true => Some(migrated_copy(&database).await?),
+        let database = sqlite::to_read(data_dir).await?;
+        sound::check_version(&database, &sqlite::migrations()).await?;
+        let copied = match sound::is_older(&database, &sqlite::migrations()).await? {
+            true => Some(sqlite::migrated_copy(&database).await?),
             false => None,
         };
         database.close().await;
@@ -95,25 +129,24 @@ impl Store {
     /// # Errors
     /// [`Error::Database`] when there is none.
     pub async fn open_beside(data_dir: &Path) -> Result<Self> {
-        let writer = write_connection(connection(data_dir)).await?;
+        let file = sqlite::prepared(data_dir).await?;
+        sound::check_version(&file, &sqlite::migrations()).await?;
+        let writer = sqlite::writer(data_dir).await?;
+        file.close().await;
         Self::assemble(data_dir, Some(writer), None, None).await
     }
 
     async fn assemble(
         data_dir: &Path,
-        writer: Option<SqlitePool>,
+        writer: Option<AnyPool>,
         lock: Option<Arc<DataLock>>,
         copied: Option<TempDir>,
     ) -> Result<Self> {
         let holds_database = copied.as_ref().map_or(data_dir, TempDir::path);
-        let options = connection(holds_database).read_only(true);
-        let reader = connections(READERS).connect_with(options.clone()).await?;
-        let long = connections(LONG_READERS).connect_lazy_with(options.clone());
-        let apart = connections(1).connect_with(options).await?;
-        sound::check_version(&reader, &migrations()).await?;
-        let newest: i64 = sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM event")
-            .fetch_one(&reader)
-            .await?;
+        let pool = async |max| sqlite::readers(holds_database, connections(max)).await;
+        let (reader, apart) = (pool(READERS).await?, pool(1).await?);
+        let long = sqlite::lazy_readers(holds_database, connections(LONG_READERS))?;
+        let newest_event = watch::Sender::new(newest_event(&reader).await?);
         Ok(Self {
             reader,
             apart,
@@ -121,7 +154,8 @@ impl Store {
             writer,
             artifacts: artifacts(data_dir),
             archives: archives(data_dir),
-            newest_event: watch::Sender::new(newest),
+            newest_event,
+            server: None,
             place: Place::of(&holds_database.join(DATABASE))?,
             unwritten: Arc::default(),
             lock,
@@ -130,52 +164,14 @@ impl Store {
     }
 }
 
-/// A copy of an older database, in a temporary folder, brought to this program's schema.
-async fn migrated_copy(older: &SqlitePool) -> Result<TempDir> {
-    let temporary = std::env::temp_dir();
-    let failed = |source| Error::File { path: temporary.clone(), source };
-    let folder = TempDir::with_prefix("flip-").map_err(failed)?;
-    copy_database(older, &folder.path().join(DATABASE)).await?;
-    let writer = connections(1).connect_with(connection(folder.path())).await?;
-    migrations().run(&writer).await.map_err(sqlx::Error::from)?;
-    writer.close().await;
-    Ok(folder)
-}
-
-/// Copy a database, with everything that is still in its write-ahead log, to a file that is not
-/// there yet.
-pub(super) async fn copy_database(database: &SqlitePool, to: &Path) -> Result<()> {
-    let name = to.to_string_lossy().into_owned();
-    sqlx::query("VACUUM INTO ?1").bind(name).execute(database).await?;
-    Ok(())
-}
-
-pub(super) fn connection(data_dir: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new()
-        .filename(data_dir.join(DATABASE))
-        .foreign_keys(true)
-        .busy_timeout(BUSY_TIMEOUT)
-}
-
-/// A connection to an existing database with short waits.
-pub(super) fn connection_that_gives_up(database: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new().filename(database).busy_timeout(GIVES_UP)
-}
-
-/// The only write connection of a process.
-async fn write_connection(options: SqliteConnectOptions) -> Result<SqlitePool> {
-    let options = options
-        .journal_mode(SqliteJournalMode::Wal)
-        // A committed intent to weigh must survive a power cut.
-        .synchronous(SqliteSynchronous::Full)
-        .auto_vacuum(SqliteAutoVacuum::Incremental)
-        .pragma("journal_size_limit", "67108864");
-    Ok(connections(1).acquire_timeout(ACQUIRE_TIMEOUT).connect_with(options).await?)
+async fn newest_event(pool: &AnyPool) -> Result<i64> {
+    Ok(sqlx::query_scalar(NEWEST).fetch_one(pool).await?)
 }
 
 /// Connections are kept: one that is reopened may lead to another file.
-fn connections(max: u32) -> SqlitePoolOptions {
-    SqlitePoolOptions::new().max_connections(max).max_lifetime(None).idle_timeout(None)
+pub(super) fn connections(max: u32) -> AnyPoolOptions {
+    sqlx::any::install_default_drivers();
+    AnyPoolOptions::new().max_connections(max).max_lifetime(None).idle_timeout(None)
 }
 
 pub(super) fn artifacts(data_dir: &Path) -> Artifacts {
@@ -186,40 +182,18 @@ pub(super) fn archives(data_dir: &Path) -> Archives {
     Archives::in_folder(data_dir.join(archive::FOLDER))
 }
 
-/// FLIP's migrations. A folder from before migration 23 names those of a queue library, too.
-fn migrations() -> Migrator {
-    let mut migrations = sqlx::migrate!("../../migrations");
-    migrations.set_ignore_missing(true);
-    migrations
-}
-
-async fn check_library(pool: &SqlitePool) -> Result<()> {
-    let version: String =
-        sqlx::query("SELECT sqlite_version()").fetch_one(pool).await?.try_get(0)?;
-    match is_new_enough(&version) {
-        true => Ok(()),
-        false => Err(Error::Old(version)),
-    }
-}
-
-fn is_new_enough(version: &str) -> bool {
-    let mut parts = version.split('.').map(|part| part.parse::<u32>().unwrap_or(0));
-    let version: [u32; 3] = std::array::from_fn(|_| parts.next().unwrap_or(0));
-    version >= SQLITE_MIN
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn versions_are_compared_as_numbers() {
-        assert!(["3.51.3", "3.51.10", "3.100.0", "4.0.0"].into_iter().all(is_new_enough));
-        assert!(!["3.51.2", "3.9.99", "3.46.0", ""].into_iter().any(is_new_enough));
-    }
+    use crate::Error;
+    use crate::testing;
+    use sqlx::Row;
 
     #[tokio::test]
     async fn a_fresh_folder_is_durable_checked_and_holds_the_published_powders() {
+        if testing::only_sqlite_has("a file") {
+            return;
+        }
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let writer = store.writer().unwrap();
@@ -240,6 +214,9 @@ mod tests {
 
     #[tokio::test]
     async fn damage_that_nobody_reads_is_found_at_the_start() {
+        if testing::only_sqlite_has("a file") {
+            return;
+        }
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         let writer = store.writer().unwrap();
@@ -264,6 +241,9 @@ mod tests {
 
     #[tokio::test]
     async fn opening_again_changes_nothing_and_reading_needs_no_lock() {
+        if testing::only_sqlite_has("a file") {
+            return;
+        }
         let folder = tempfile::tempdir().unwrap();
         Store::open(folder.path()).await.unwrap().close().await;
         let store = Store::open(folder.path()).await.unwrap();

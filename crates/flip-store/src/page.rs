@@ -7,7 +7,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use flip_core::domain::FieldError;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// Maximum number of items on a page of a list.
 pub const LIST_LIMIT_MAX: u32 = 200;
@@ -100,8 +100,8 @@ impl Window {
     /// The page made of up to [`Window::rows`] rows with a `seq` column.
     pub(super) fn page_of<T>(
         &self,
-        rows: &[SqliteRow],
-        item: impl Fn(&SqliteRow) -> Result<T>,
+        rows: &[AnyRow],
+        item: impl Fn(&AnyRow) -> Result<T>,
     ) -> Result<Page<T>> {
         let numbered: Result<Vec<_>> =
             rows.iter().map(|row| Ok((row.plain("seq")?, item(row)?))).collect();
@@ -139,7 +139,7 @@ impl Store {
         sql: &'static str,
         powder: Option<&str>,
         after: i64,
-        read: impl Fn(&SqliteRow) -> Result<T>,
+        read: impl Fn(&AnyRow) -> Result<T>,
     ) -> Result<(Vec<T>, i64)> {
         let rows = sqlx::query(sql)
             .bind(powder)

@@ -7,7 +7,7 @@ use crate::audit::About;
 use flip_core::domain::timestamp::Timestamp;
 use flip_core::domain::vial::Pan;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// A reservation: exclusive use of the bench.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,7 +49,7 @@ impl Store {
 impl Tx {
     /// Update the state of the pan.
     pub async fn set_pan(&mut self, pan: &Pan) -> Result<()> {
-        let sql = "INSERT INTO bench_pan (one, body) VALUES (1, ?1) ON CONFLICT (one) DO UPDATE SET body = excluded.body";
+        let sql = "INSERT INTO bench_pan (one, body) VALUES (1, $1) ON CONFLICT (one) DO UPDATE SET body = excluded.body";
         sqlx::query(sql).bind(json(pan)?).execute(&mut *self.inner).await?;
         self.emit(BENCH_TOPIC, "vial", &serde_json::json!({ "vial": pan.vial })).await
     }
@@ -97,7 +97,7 @@ impl Tx {
 
     /// Reserve the bench, replacing any earlier reservation.
     pub async fn reserve_bench(&mut self, reserved: &Reservation, now: Timestamp) -> Result<()> {
-        let sql = "INSERT INTO bench_reservation (one, id, owner, until) VALUES (1, ?1, ?2, ?3) \
+        let sql = "INSERT INTO bench_reservation (one, id, owner, until) VALUES (1, $1, $2, $3) \
                    ON CONFLICT (one) DO UPDATE SET id = excluded.id, owner = excluded.owner, until = excluded.until";
         let row = sqlx::query(sql)
             .bind(&reserved.id)
@@ -111,7 +111,7 @@ impl Tx {
 
     /// Release a reservation. `false`: it is not the current one.
     pub async fn release_bench(&mut self, id: &str, now: Timestamp) -> Result<bool> {
-        let deleted = sqlx::query("DELETE FROM bench_reservation WHERE id = ?1")
+        let deleted = sqlx::query("DELETE FROM bench_reservation WHERE id = $1")
             .bind(id)
             .execute(&mut *self.inner)
             .await?;
@@ -134,20 +134,20 @@ pub fn refusal(reserved: Option<Reservation>, named: Option<&str>) -> Option<Ref
     }
 }
 
-fn reservation(row: &SqliteRow) -> Result<Reservation> {
+fn reservation(row: &AnyRow) -> Result<Reservation> {
     Ok(Reservation { id: row.plain("id")?, owner: row.plain("owner")?, until: row.time("until")? })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::now;
+    use crate::{now, testing};
     use flip_core::domain::vial::Vial;
 
     #[tokio::test]
     async fn the_pan_and_the_reservation_are_there_after_a_restart() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         assert_eq!(
             (store.pan().await.unwrap(), store.reservation().await.unwrap()),
             (Pan::default(), None)
@@ -172,7 +172,7 @@ mod tests {
         tx.commit().await.unwrap();
         store.close().await;
         drop(store);
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         assert_eq!(
             (store.pan().await.unwrap(), store.reservation().await.unwrap()),
             (pan, Some(reserved))

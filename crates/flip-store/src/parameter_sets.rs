@@ -2,11 +2,12 @@
 
 use super::page::{Page, Window};
 use super::row::{Columns, json};
+use super::sql::Number;
 use super::{Result, Store, Tx, now};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// A parameter set kept by a calibration: the simulated twin of a powder. Never changes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -55,11 +56,11 @@ impl Store {
     ) -> Result<Page<CalibratedSet>> {
         let query = match powder {
             Some(powder) => {
-                let sql = "SELECT * FROM parameter_set WHERE powder = ?3 AND seq < ?1 ORDER BY seq DESC LIMIT ?2";
+                let sql = "SELECT * FROM parameter_set WHERE powder = $3 AND seq < $1 ORDER BY seq DESC LIMIT $2";
                 sqlx::query(sql).bind(window.before()).bind(window.rows()).bind(powder)
             }
             None => {
-                let sql = "SELECT * FROM parameter_set WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2";
+                let sql = "SELECT * FROM parameter_set WHERE seq < $1 ORDER BY seq DESC LIMIT $2";
                 sqlx::query(sql).bind(window.before()).bind(window.rows())
             }
         };
@@ -74,7 +75,7 @@ impl Store {
         simulator: Option<&str>,
         window: Window,
     ) -> Result<Page<CalibratedSet>> {
-        let sql = "SELECT * FROM parameter_set WHERE powder = ?3 AND simulator IS ?4 AND seq < ?1 ORDER BY seq DESC LIMIT ?2";
+        let sql = "SELECT * FROM parameter_set WHERE powder = $3 AND simulator IS NOT DISTINCT FROM $4 AND seq < $1 ORDER BY seq DESC LIMIT $2";
         let query =
             sqlx::query(sql).bind(window.before()).bind(window.rows()).bind(powder).bind(simulator);
         window.page_of(&query.fetch_all(&self.reader).await?, calibrated_set)
@@ -83,7 +84,7 @@ impl Store {
     /// One calibrated set; if several calibrations kept the same values, the latest.
     pub async fn parameter_set(&self, id: &str) -> Result<Option<CalibratedSet>> {
         let row =
-            sqlx::query("SELECT * FROM parameter_set WHERE id = ?1 ORDER BY seq DESC LIMIT 1")
+            sqlx::query("SELECT * FROM parameter_set WHERE id = $1 ORDER BY seq DESC LIMIT 1")
                 .bind(id)
                 .fetch_optional(&self.reader)
                 .await?;
@@ -92,7 +93,7 @@ impl Store {
 
     /// The sets kept by a calibration, in its order.
     pub async fn sets_of_calibration(&self, calibration: &str) -> Result<Vec<CalibratedSet>> {
-        let sql = "SELECT * FROM parameter_set WHERE calibration = ?1 ORDER BY position";
+        let sql = "SELECT * FROM parameter_set WHERE calibration = $1 ORDER BY position";
         sqlx::query(sql)
             .bind(calibration)
             .fetch_all(&self.reader)
@@ -114,16 +115,16 @@ impl Tx {
     ) -> Result<()> {
         let sql = "INSERT INTO parameter_set \
                    (id, powder, calibration, position, parameters, repose_deg, repose_sd_deg, runs, error_deg, created_at, \
-                   simulator) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
+                   simulator) VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)";
         sqlx::query(sql)
             .bind(set.parameters.id())
             .bind(powder)
             .bind(calibration)
-            .bind(position)
+            .bind(i64::from(position))
             .bind(json(&set.parameters)?)
             .bind(set.repose_deg)
-            .bind(set.repose_sd_deg)
-            .bind(set.runs)
+            .bind(set.repose_sd_deg.map(Number))
+            .bind(i64::from(set.runs))
             .bind(set.error_deg)
             .bind(now().unix_ms())
             .bind(&set.simulator)
@@ -133,7 +134,7 @@ impl Tx {
     }
 }
 
-fn calibrated_set(row: &SqliteRow) -> Result<CalibratedSet> {
+fn calibrated_set(row: &AnyRow) -> Result<CalibratedSet> {
     Ok(CalibratedSet {
         id: row.plain("id")?,
         powder: row.plain("powder")?,

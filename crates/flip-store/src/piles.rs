@@ -5,7 +5,7 @@ use super::{Result, Store, Tx};
 use flip_core::domain::pile::{Measurement, Outline};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// One pile.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -52,19 +52,19 @@ impl FrameFiles {
 impl Store {
     /// Piles of a measurement, in order.
     pub async fn piles(&self, job: &str) -> Result<Vec<Pile>> {
-        let rows = sqlx::query("SELECT number, body FROM pile WHERE job = ?1 ORDER BY number");
+        let rows = sqlx::query("SELECT number, body FROM pile WHERE job = $1 ORDER BY number");
         rows.bind(job)
             .fetch_all(&self.reader)
             .await?
             .iter()
-            .map(|row: &SqliteRow| row.json("body"))
+            .map(|row: &AnyRow| row.json("body"))
             .collect()
     }
 
     /// Number of camera measurements requested for a powder.
     pub async fn repose_runs(&self, powder: &str) -> Result<u32> {
-        let sql = "SELECT coalesce(max(spec ->> '$.repose.run'), 0) AS runs FROM job \
-                   WHERE kind = 'repose' AND spec ->> '$.repose.powder' = ?1";
+        let sql = "SELECT coalesce(max(CAST(spec ->> '$.repose.run' AS BIGINT)), 0) AS runs FROM job \
+                   WHERE kind = 'repose' AND spec ->> '$.repose.powder' = $1";
         sqlx::query(sql).bind(powder).fetch_one(&self.reader).await?.count("runs")
     }
 }
@@ -72,8 +72,13 @@ impl Store {
 impl Tx {
     /// Add the next pile of a measurement; its files are already stored.
     pub async fn insert_pile(&mut self, job: &str, pile: &Pile) -> Result<()> {
-        let insert = sqlx::query("INSERT INTO pile (job, number, body) VALUES (?1, ?2, ?3)");
-        insert.bind(job).bind(pile.number).bind(json(pile)?).execute(&mut *self.inner).await?;
+        let insert = sqlx::query("INSERT INTO pile (job, number, body) VALUES ($1, $2, $3)");
+        insert
+            .bind(job)
+            .bind(i64::from(pile.number))
+            .bind(json(pile)?)
+            .execute(&mut *self.inner)
+            .await?;
         Ok(())
     }
 }

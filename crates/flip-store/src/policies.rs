@@ -8,7 +8,7 @@ use super::{Error, Result, Store, Tx, now};
 use flip_core::domain::conditions::Under;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// A trained policy. Never changes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -48,9 +48,9 @@ impl Store {
     /// Policies, newest first.
     pub async fn policies(&self, window: Window) -> Result<Page<Policy>> {
         let sql = concat!(
-            "SELECT * FROM policy_card WHERE seq < ?1 AND ",
-            shown!("'policy'", "policy_card.id", "?3", "?4"),
-            " ORDER BY seq DESC LIMIT ?2"
+            "SELECT * FROM policy_card WHERE seq < $1 AND ",
+            shown!("'policy'", "policy_card.id", "$3", "$4"),
+            " ORDER BY seq DESC LIMIT $2"
         );
         let rows = self.rows_shown(sql, &window).await?;
         let mut page = window.page_of(&rows, policy)?;
@@ -62,7 +62,7 @@ impl Store {
 
     /// One policy.
     pub async fn policy(&self, id: &str) -> Result<Option<Policy>> {
-        let row = sqlx::query("SELECT * FROM policy_card WHERE id = ?1")
+        let row = sqlx::query("SELECT * FROM policy_card WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.reader)
             .await?;
@@ -75,7 +75,7 @@ impl Store {
     /// # Errors
     /// [`Error::Corrupt`] when they are not what was stored.
     pub async fn policy_bytes(&self, id: &str) -> Result<Option<Vec<u8>>> {
-        let sql = "SELECT bytes, sha256 FROM policy WHERE id = ?1";
+        let sql = "SELECT bytes, sha256 FROM policy WHERE id = $1";
         let found = sqlx::query(sql).bind(id).fetch_optional(&self.reader).await?;
         found.as_ref().map(|row| verified(id, row)).transpose()
     }
@@ -86,7 +86,7 @@ impl Store {
     /// # Errors
     /// [`Error::Corrupt`] when they are not what was stored.
     pub async fn kept_policy(&self, id: &str) -> Result<Option<Vec<u8>>> {
-        let sql = "SELECT bytes, sha256 FROM kept_policy WHERE id = ?1 LIMIT 1";
+        let sql = "SELECT bytes, sha256 FROM kept_policy WHERE id = $1 LIMIT 1";
         let found = sqlx::query(sql).bind(id).fetch_optional(&self.reader).await?;
         found.as_ref().map(|row| verified(id, row)).transpose()
     }
@@ -95,10 +95,10 @@ impl Store {
     /// from 1, policy id.
     pub async fn kept_episodes(&self, trainings: &[&str]) -> Result<Vec<(String, u32, String)>> {
         let sql = "SELECT job, episode, id FROM kept_policy \
-                   WHERE job IN (SELECT value FROM json_each(?1)) ORDER BY job, episode";
+                   WHERE job IN (SELECT value FROM json_each($1)) ORDER BY job, episode";
         let rows = sqlx::query(sql).bind(json(&trainings)?).fetch_all(&self.reader).await?;
         rows.iter()
-            .map(|row| Ok((row.plain("job")?, row.plain("episode")?, row.plain("id")?)))
+            .map(|row| Ok((row.plain("job")?, row.count("episode")?, row.plain("id")?)))
             .collect()
     }
 
@@ -112,19 +112,19 @@ impl Store {
         known: &str,
     ) -> Result<Option<String>> {
         let sql = "WITH here AS (SELECT policy, mae_mg, n FROM evaluation_row
-                                 WHERE powder = ?1 AND policy IS NOT NULL AND under IS ?3)
-                   SELECT policy FROM here WHERE EXISTS (SELECT 1 FROM here WHERE policy = ?2)
-                   GROUP BY policy ORDER BY sum(mae_mg * n) / sum(n), policy <> ?2, policy LIMIT 1";
+                                 WHERE powder = $1 AND policy IS NOT NULL AND under IS NOT DISTINCT FROM $3)
+                   SELECT policy FROM here WHERE EXISTS (SELECT 1 FROM here WHERE policy = $2)
+                   GROUP BY policy ORDER BY sum(mae_mg * n) / sum(n), policy <> $2, policy LIMIT 1";
         let under = under.map(json).transpose()?;
         let best = sqlx::query_scalar(sql).bind(powder).bind(known).bind(under);
         Ok(best.fetch_optional(&self.reader).await?)
     }
 
     async fn policy_errors(&self, policy: &str) -> Result<Vec<PolicyError>> {
-        let sql = "SELECT powder, sum(mae_mg * n) / sum(n) AS mae_mg, sum(n) AS n FROM evaluation_row \
-                   WHERE policy = ?1 AND under IS NULL GROUP BY powder ORDER BY powder";
+        let sql = "SELECT powder, sum(mae_mg * n) / sum(n) AS mae_mg, CAST(sum(n) AS BIGINT) AS n FROM evaluation_row \
+                   WHERE policy = $1 AND under IS NULL GROUP BY powder ORDER BY powder";
         let rows = sqlx::query(sql).bind(policy).fetch_all(&self.reader).await?;
-        let error = |row: &SqliteRow| {
+        let error = |row: &AnyRow| {
             Ok(PolicyError {
                 powder: row.plain("powder")?,
                 mae_mg: row.plain("mae_mg")?,
@@ -136,7 +136,7 @@ impl Store {
 }
 
 /// The bytes of a policy, if they are what was stored.
-fn verified(id: &str, row: &SqliteRow) -> Result<Vec<u8>> {
+fn verified(id: &str, row: &AnyRow) -> Result<Vec<u8>> {
     let bytes: Vec<u8> = row.plain("bytes")?;
     match sha256_hex(&bytes) == row.plain::<String>("sha256")? {
         true => Ok(bytes),
@@ -156,7 +156,7 @@ impl Tx {
         bytes: &[u8],
     ) -> Result<()> {
         let sql = "INSERT INTO policy (id, kind, training, manifest, bytes, sha256, created_at) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) ON CONFLICT (id) DO NOTHING";
+                   VALUES ($1, $2, $3, $4, $5, $6, $7) ON CONFLICT (id) DO NOTHING";
         sqlx::query(sql)
             .bind(id)
             .bind(kind)
@@ -180,10 +180,10 @@ impl Tx {
         bytes: &[u8],
     ) -> Result<bool> {
         let sql = "INSERT INTO kept_policy (job, episode, id, bytes, sha256) \
-                   VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT DO NOTHING";
+                   VALUES ($1, $2, $3, $4, $5) ON CONFLICT DO NOTHING";
         let done = sqlx::query(sql)
             .bind(training)
-            .bind(episode)
+            .bind(i64::from(episode))
             .bind(id)
             .bind(bytes)
             .bind(sha256_hex(bytes))
@@ -193,7 +193,7 @@ impl Tx {
     }
 }
 
-fn policy(row: &SqliteRow) -> Result<Policy> {
+fn policy(row: &AnyRow) -> Result<Policy> {
     Ok(Policy {
         id: row.plain("id")?,
         kind: row.plain("kind")?,

@@ -3,12 +3,13 @@
 use super::labels::shown;
 use super::page::{Page, Window};
 use super::row::{Columns, word};
+use super::sql::Flag;
 use super::withdrawals::{Withdrawn, withdrawn};
 use super::{Result, Store, Tx, new_id, now};
 use flip_core::domain::powder::{Flowability, Method, PUBLISHED, PUBLISHED_SOURCE};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// A real powder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -77,9 +78,9 @@ impl Store {
     /// Powders, oldest first.
     pub async fn powders(&self, window: Window) -> Result<Page<Powder>> {
         let sql = concat!(
-            "SELECT * FROM powder_now WHERE seq > ?1 AND ",
-            shown!("'powder'", "powder_now.id", "?3", "?4"),
-            " ORDER BY seq LIMIT ?2"
+            "SELECT * FROM powder_now WHERE seq > $1 AND ",
+            shown!("'powder'", "powder_now.id", "$3", "$4"),
+            " ORDER BY seq LIMIT $2"
         );
         let rows = sqlx::query(sql)
             .bind(window.after())
@@ -93,7 +94,7 @@ impl Store {
 
     /// One powder.
     pub async fn powder(&self, id: &str) -> Result<Option<Powder>> {
-        let row = sqlx::query("SELECT * FROM powder_now WHERE id = ?1")
+        let row = sqlx::query("SELECT * FROM powder_now WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.reader)
             .await?;
@@ -102,9 +103,9 @@ impl Store {
 
     /// What was said of the solubility of powders, by id.
     pub async fn said_of_solubility(&self) -> Result<Vec<(String, bool)>> {
-        Ok(sqlx::query_as("SELECT id, soluble FROM powder WHERE soluble IS NOT NULL")
-            .fetch_all(&self.reader)
-            .await?)
+        let sql = "SELECT id, soluble FROM powder WHERE soluble IS NOT NULL";
+        let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
+        rows.iter().map(|row| Ok((row.plain("id")?, row.flag("soluble")?))).collect()
     }
 
     /// Id and name of every powder, oldest first.
@@ -117,7 +118,7 @@ impl Store {
     /// Measurements of a powder, withdrawn ones too, oldest first.
     pub async fn measurements(&self, powder: &str, window: Window) -> Result<Page<Measurement>> {
         let rows = sqlx::query(
-            "SELECT * FROM measurement_all WHERE powder = ?1 AND seq > ?2 ORDER BY seq LIMIT ?3",
+            "SELECT * FROM measurement_all WHERE powder = $1 AND seq > $2 ORDER BY seq LIMIT $3",
         )
         .bind(powder)
         .bind(window.after())
@@ -129,7 +130,7 @@ impl Store {
 
     /// Every measurement that counts, oldest first; of one powder if given.
     pub async fn all_measurements(&self, powder: Option<&str>) -> Result<Vec<Measurement>> {
-        let sql = "SELECT * FROM measurement_all WHERE withdrawn_at IS NULL AND (?1 IS NULL OR powder = ?1) ORDER BY seq";
+        let sql = "SELECT * FROM measurement_all WHERE withdrawn_at IS NULL AND ($1 IS NULL OR powder = $1) ORDER BY seq";
         sqlx::query(sql)
             .bind(powder)
             .fetch_all(&self.reader)
@@ -146,7 +147,7 @@ impl Store {
         powder: Option<&str>,
         after: i64,
     ) -> Result<(Vec<Measurement>, i64)> {
-        let sql = "SELECT * FROM measurement_all WHERE seq > ?2 AND withdrawn_at IS NULL AND (?1 IS NULL OR powder = ?1) ORDER BY seq LIMIT ?3";
+        let sql = "SELECT * FROM measurement_all WHERE seq > $2 AND withdrawn_at IS NULL AND ($1 IS NULL OR powder = $1) ORDER BY seq LIMIT $3";
         self.batch(sql, powder, after, measurement).await
     }
 
@@ -154,7 +155,7 @@ impl Store {
     /// alone.
     pub(super) async fn seed_published_powders(&self) -> Result<()> {
         let mut tx = self.write().await?;
-        let seeded: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM powder)")
+        let Flag(seeded) = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM powder)")
             .fetch_one(&mut *tx.inner)
             .await?;
         if seeded {
@@ -182,7 +183,7 @@ impl Tx {
         soluble: Option<bool>,
     ) -> Result<Option<Timestamp>> {
         let at = now();
-        let sql = "INSERT INTO powder (id, name, created_at, soluble) VALUES (?1, ?2, ?3, ?4) ON CONFLICT (id) DO NOTHING";
+        let sql = "INSERT INTO powder (id, name, created_at, soluble) VALUES ($1, $2, $3, $4) ON CONFLICT (id) DO NOTHING";
         let done = sqlx::query(sql)
             .bind(id)
             .bind(name)
@@ -202,7 +203,7 @@ impl Tx {
         origin: &Origin,
     ) -> Result<Measurement> {
         let sql = "INSERT INTO measurement (id, powder, method, repose_deg, sd_deg, n, source, created_at, measured_on) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) \
+                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9) \
                    RETURNING *, NULL AS withdrawn_at";
         let row = sqlx::query(sql)
             .bind(new_id())
@@ -210,7 +211,7 @@ impl Tx {
             .bind(word(&method))
             .bind(flowability.repose_deg)
             .bind(flowability.sd_deg)
-            .bind(flowability.n)
+            .bind(i64::from(flowability.n))
             .bind(&origin.source)
             .bind(now().unix_ms())
             .bind(&origin.measured_on)
@@ -220,7 +221,7 @@ impl Tx {
     }
 }
 
-fn powder(row: &SqliteRow) -> Result<Powder> {
+fn powder(row: &AnyRow) -> Result<Powder> {
     let flowability = match row.plain::<Option<f64>>("repose_deg")? {
         Some(repose_deg) => {
             Some(Flowability { repose_deg, sd_deg: row.plain("sd_deg")?, n: row.count("n")? })
@@ -231,12 +232,12 @@ fn powder(row: &SqliteRow) -> Result<Powder> {
         id: row.plain("id")?,
         name: row.plain("name")?,
         flowability,
-        soluble: row.plain("soluble")?,
+        soluble: row.plain::<Option<Flag>>("soluble")?.map(|Flag(is)| is),
         created_at: row.time("created_at")?,
     })
 }
 
-pub(super) fn measurement(row: &SqliteRow) -> Result<Measurement> {
+pub(super) fn measurement(row: &AnyRow) -> Result<Measurement> {
     let (sd_deg, n) = (row.plain("sd_deg")?, row.count("n")?);
     Ok(Measurement {
         id: row.plain("id")?,

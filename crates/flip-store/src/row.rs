@@ -1,16 +1,19 @@
 //! Reading columns as FLIP's types.
 
+use super::sql::Flag;
 use super::{Error, Result};
 use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
 use serde::de::{DeserializeOwned, IntoDeserializer};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Type};
+use sqlx::any::AnyRow;
+use sqlx::{Any, Row, Type};
 
 /// Typed access to the columns of a row.
 pub(super) trait Columns {
     /// A column of a plain type.
-    fn plain<'r, T: sqlx::Decode<'r, Sqlite> + Type<Sqlite>>(&'r self, column: &str) -> Result<T>;
+    fn plain<'r, T: sqlx::Decode<'r, Any> + Type<Any>>(&'r self, column: &str) -> Result<T>;
+    /// Yes or no.
+    fn flag(&self, column: &str) -> Result<bool>;
     /// A count.
     fn count(&self, column: &str) -> Result<u32>;
     /// A time.
@@ -34,9 +37,14 @@ pub(super) trait Columns {
     fn maybe_json<T: DeserializeOwned>(&self, column: &str) -> Result<Option<T>>;
 }
 
-impl Columns for SqliteRow {
-    fn plain<'r, T: sqlx::Decode<'r, Sqlite> + Type<Sqlite>>(&'r self, column: &str) -> Result<T> {
+impl Columns for AnyRow {
+    fn plain<'r, T: sqlx::Decode<'r, Any> + Type<Any>>(&'r self, column: &str) -> Result<T> {
         Ok(self.try_get(column)?)
+    }
+
+    fn flag(&self, column: &str) -> Result<bool> {
+        let Flag(flag) = self.plain(column)?;
+        Ok(flag)
     }
 
     fn count(&self, column: &str) -> Result<u32> {
@@ -85,7 +93,7 @@ impl Columns for SqliteRow {
 }
 
 /// What a row is called: its id, or its number.
-fn name(row: &SqliteRow) -> String {
+fn name(row: &AnyRow) -> String {
     let number = |_| row.try_get::<i64, _>("seq").map(|seq| seq.to_string());
     row.try_get("id").or_else(number).unwrap_or_default()
 }

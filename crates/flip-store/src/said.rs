@@ -7,11 +7,12 @@
 
 use super::audit::Written;
 use super::row::Columns;
+use super::sql::Flag;
 use super::{Result, tokens};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Sqlite, Transaction};
+use sqlx::any::AnyRow;
+use sqlx::{Any, Transaction};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Type of a row.
@@ -237,7 +238,7 @@ impl Said {
     /// Rows that do not match the record, ordered by type.
     pub(super) async fn compare(
         &self,
-        tx: &mut Transaction<'_, Sqlite>,
+        tx: &mut Transaction<'_, Any>,
         most: usize,
     ) -> Result<Vec<ChangedOther>> {
         let (mut changed, mut seen) = (Vec::new(), BTreeSet::new());
@@ -276,7 +277,7 @@ fn stock_taken(body: &Value) -> Value {
 type Found = (RowOf, String, std::result::Result<Map<String, Value>, String>);
 
 /// Every row that is compared.
-pub(super) async fn every_row(tx: &mut Transaction<'_, Sqlite>) -> Result<Vec<Found>> {
+pub(super) async fn every_row(tx: &mut Transaction<'_, Any>) -> Result<Vec<Found>> {
     let mut found = Vec::new();
     for (what, sql) in TABLES {
         for row in sqlx::query(sql).fetch_all(&mut **tx).await? {
@@ -293,7 +294,7 @@ pub(super) async fn every_row(tx: &mut Transaction<'_, Sqlite>) -> Result<Vec<Fo
     Ok(found)
 }
 
-fn id_of(what: RowOf, row: &SqliteRow) -> Result<String> {
+fn id_of(what: RowOf, row: &AnyRow) -> Result<String> {
     match what {
         RowOf::Check => Ok(check_id(&row.plain::<String>("kind")?.into(), row.plain("at")?)),
         RowOf::Latch | RowOf::Hold => Ok(row.time("at")?.to_string()),
@@ -312,13 +313,13 @@ fn check_id(kind: &Value, at_ms: i64) -> String {
 }
 
 /// The fields of a row, by the names used in records.
-fn row_says(what: RowOf, row: &SqliteRow) -> Result<Value> {
+fn row_says(what: RowOf, row: &AnyRow) -> Result<Value> {
     let text = |column: &str| row.plain::<Option<String>>(column);
     Ok(match what {
         RowOf::Token => tokens::says(row)?,
         RowOf::Powder => {
             let mut says = json!({ "id": text("id")?, "name": text("name")?, "created_at": row.time("created_at")? });
-            if let Some(soluble) = row.plain::<Option<bool>>("soluble")? {
+            if let Some(Flag(soluble)) = row.plain::<Option<Flag>>("soluble")? {
                 says["soluble"] = soluble.into();
             }
             says

@@ -6,7 +6,7 @@ use super::row::Columns;
 use super::{Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// A version of the simulator: its base, its extensions, and their origin. Never changes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -28,16 +28,16 @@ impl Store {
     /// Versions, newest first.
     pub async fn simulators(&self, window: Window) -> Result<Page<SimulatorVersion>> {
         let sql = concat!(
-            "SELECT * FROM simulator_version WHERE seq < ?1 AND ",
-            shown!("'simulator'", "simulator_version.id", "?3", "?4"),
-            " ORDER BY seq DESC LIMIT ?2"
+            "SELECT * FROM simulator_version WHERE seq < $1 AND ",
+            shown!("'simulator'", "simulator_version.id", "$3", "$4"),
+            " ORDER BY seq DESC LIMIT $2"
         );
         window.page_of(&self.rows_shown(sql, &window).await?, version)
     }
 
     /// One version.
     pub async fn simulator(&self, id: &str) -> Result<Option<SimulatorVersion>> {
-        let sql = "SELECT * FROM simulator_version WHERE id = ?1";
+        let sql = "SELECT * FROM simulator_version WHERE id = $1";
         sqlx::query(sql)
             .bind(id)
             .fetch_optional(&self.reader)
@@ -58,7 +58,7 @@ impl Tx {
         body: &str,
     ) -> Result<()> {
         let sql = "INSERT INTO simulator_version (id, base, investigation, body, created_at) \
-                   VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING";
+                   VALUES ($1, $2, $3, $4, $5) ON CONFLICT (id) DO NOTHING";
         let query = sqlx::query(sql)
             .bind(id)
             .bind(base)
@@ -70,7 +70,7 @@ impl Tx {
     }
 }
 
-fn version(row: &SqliteRow) -> Result<SimulatorVersion> {
+fn version(row: &AnyRow) -> Result<SimulatorVersion> {
     Ok(SimulatorVersion {
         id: row.plain("id")?,
         base: row.plain("base")?,

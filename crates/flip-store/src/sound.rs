@@ -3,7 +3,7 @@
 
 use super::archive::Archives;
 use super::artifacts::Artifacts;
-use super::open::connection_that_gives_up;
+use super::sqlite::connection_that_gives_up;
 use super::{Error, Result};
 use sqlx::migrate::Migrator;
 use sqlx::{Connection, SqliteConnection, SqlitePool};
@@ -109,6 +109,6 @@ async fn applied(pool: &SqlitePool) -> Result<Vec<i64>> {
     if !sqlx::query_scalar::<_, bool>(table).fetch_one(pool).await? {
         return Ok(Vec::new());
     }
-    let versions = "SELECT version FROM _sqlx_migrations WHERE version < ?1 ORDER BY version";
+    let versions = "SELECT version FROM _sqlx_migrations WHERE version < $1 ORDER BY version";
     Ok(sqlx::query_scalar(versions).bind(OWN_MAX).fetch_all(pool).await?)
 }

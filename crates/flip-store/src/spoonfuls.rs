@@ -11,7 +11,7 @@ use flip_core::domain::bench::BenchKind;
 use flip_core::domain::shake::Spoonful;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// Which shakes.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -85,12 +85,16 @@ impl Store {
         count: u32,
     ) -> Result<Vec<String>> {
         let sql = concat!(
-            "SELECT trace FROM weighing WHERE powder = ?1 AND bench = ?2 AND outcome IN ('within', 'under', 'over', 'blocked', 'probed') \
-             AND trace IS NOT NULL AND (?4 IS NULL OR json_extract(asked, '$.lot') = ?4)",
+            "SELECT trace FROM weighing WHERE powder = $1 AND bench = $2 AND outcome IN ('within', 'under', 'over', 'blocked', 'probed') \
+             AND trace IS NOT NULL AND ($4 IS NULL OR json_extract(asked, '$.lot') = $4)",
             weighing_counts!(),
-            " ORDER BY seq DESC LIMIT ?3"
+            " ORDER BY seq DESC LIMIT $3"
         );
-        let query = sqlx::query_scalar(sql).bind(powder).bind(word(&bench)).bind(count).bind(lot);
+        let query = sqlx::query_scalar(sql)
+            .bind(powder)
+            .bind(word(&bench))
+            .bind(i64::from(count))
+            .bind(lot);
         Ok(query.fetch_all(&self.reader).await?)
     }
 
@@ -101,10 +105,10 @@ impl Store {
         window: Window,
     ) -> Result<Vec<(i64, WeighingRow)>> {
         let sql = concat!(
-            "SELECT * FROM weighing WHERE seq > ?1 AND trace IS NOT NULL AND (?2 IS NULL OR powder = ?2) \
-             AND (?3 IS NULL OR json_extract(asked, '$.lot') = ?3) AND (?4 IS NULL OR bench = ?4)",
+            "SELECT * FROM weighing WHERE seq > $1 AND trace IS NOT NULL AND ($2 IS NULL OR powder = $2) \
+             AND ($3 IS NULL OR json_extract(asked, '$.lot') = $3) AND ($4 IS NULL OR bench = $4)",
             weighing_counts!(),
-            " ORDER BY seq LIMIT ?5"
+            " ORDER BY seq LIMIT $5"
         );
         let rows = sqlx::query(sql)
             .bind(window.after())
@@ -124,9 +128,9 @@ impl Store {
         window: Window,
     ) -> Result<Vec<(i64, ImportedSpoonful)>> {
         let sql = concat!(
-            "SELECT * FROM spoonful WHERE seq > ?1 AND (?2 IS NULL OR powder = ?2) AND (?3 IS NULL OR lot = ?3)",
+            "SELECT * FROM spoonful WHERE seq > $1 AND ($2 IS NULL OR powder = $2) AND ($3 IS NULL OR lot = $3)",
             counts!("spoonful", "spoonful.lot", "spoonful.created_at"),
-            " ORDER BY seq LIMIT ?4"
+            " ORDER BY seq LIMIT $4"
         );
         let rows = sqlx::query(sql)
             .bind(window.after())
@@ -155,8 +159,8 @@ impl Tx {
         source: &str,
         now: Timestamp,
     ) -> Result<ImportedSpoonful> {
-        let sql = "INSERT INTO spoonful (id, powder, lot, body, source, created_at) VALUES (?1, ?2, ?3, ?4, ?5, \
-                   max(?6, (SELECT coalesce(max(at) + 1, 0) FROM forgotten WHERE powder = ?2))) RETURNING *";
+        let sql = "INSERT INTO spoonful (id, powder, lot, body, source, created_at) VALUES ($1, $2, $3, $4, $5, \
+                   max($6, (SELECT coalesce(max(at) + 1, 0) FROM forgotten WHERE powder = $2))) RETURNING *";
         let row = sqlx::query(sql)
             .bind(new_id())
             .bind(&spoonful.powder)
@@ -178,8 +182,8 @@ impl Tx {
         now: Timestamp,
     ) -> Result<Forgotten> {
         // A spoonful may be dated a little later than it was imported.
-        let sql = "INSERT INTO forgotten (id, powder, lot, at) VALUES (?1, ?2, ?3, \
-                   max(?4, (SELECT coalesce(max(created_at), 0) FROM spoonful WHERE powder = ?2))) RETURNING *";
+        let sql = "INSERT INTO forgotten (id, powder, lot, at) VALUES ($1, $2, $3, \
+                   max($4, (SELECT coalesce(max(created_at), 0) FROM spoonful WHERE powder = $2))) RETURNING *";
         let row = sqlx::query(sql)
             .bind(new_id())
             .bind(powder)
@@ -194,7 +198,7 @@ impl Tx {
     }
 }
 
-fn imported(row: &SqliteRow) -> Result<ImportedSpoonful> {
+fn imported(row: &AnyRow) -> Result<ImportedSpoonful> {
     Ok(ImportedSpoonful {
         id: row.plain("id")?,
         spoonful: row.json("body")?,
@@ -203,7 +207,7 @@ fn imported(row: &SqliteRow) -> Result<ImportedSpoonful> {
     })
 }
 
-fn forgotten(row: &SqliteRow) -> Result<Forgotten> {
+fn forgotten(row: &AnyRow) -> Result<Forgotten> {
     Ok(Forgotten {
         id: row.plain("id")?,
         powder: row.plain("powder")?,
@@ -215,6 +219,7 @@ fn forgotten(row: &SqliteRow) -> Result<Forgotten> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing;
     use flip_core::domain::shake::Shake;
 
     fn spoonful(weighing: &str, lot: Option<&str>) -> Spoonful {
@@ -263,7 +268,7 @@ mod tests {
     async fn what_was_imported_before_is_forgotten_by_lot_or_altogether_and_what_comes_later_counts()
      {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         import(&store, "a", Some("L1"), 1000).await;
         import(&store, "b", Some("L2"), 1000).await;
         import(&store, "c", None, 1000).await;

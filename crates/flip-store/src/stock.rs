@@ -7,11 +7,12 @@ use super::audit::{About, OutcomeRecord, Written};
 use super::page::LONG_BATCH;
 use super::row::Columns;
 use super::said::{Row, Said, every_row};
+use super::sql::{Flag, has_table};
 use super::weighings::weighing_row;
 use super::{Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteConnection;
+use sqlx::AnyConnection;
 
 /// Kind of the record that ends the stock-taking.
 const STOCK: &str = "stock";
@@ -43,7 +44,7 @@ impl Store {
     /// Record rows that no record knows, the first time.
     pub(super) async fn take_stock(&self) -> Result<()> {
         let mut tx = self.write().await?;
-        let marked: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)")
+        let Flag(marked) = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)")
             .fetch_one(&mut *tx.inner)
             .await?;
         if marked {
@@ -63,7 +64,7 @@ impl Tx {
         let mut said = Said::default();
         let mut after = 0;
         loop {
-            let sql = "SELECT * FROM audit WHERE seq > ?1 ORDER BY seq LIMIT ?2";
+            let sql = "SELECT * FROM audit WHERE seq > $1 ORDER BY seq LIMIT $2";
             let rows =
                 sqlx::query(sql).bind(after).bind(LONG_BATCH).fetch_all(&mut *self.inner).await?;
             let Some(last) = rows.last() else { break };
@@ -106,6 +107,10 @@ impl Tx {
                    (SELECT weighing FROM audit WHERE weighing IS NOT NULL AND kind IN ('intent', 'outcome')) \
                    AND created_at >= 1000 * (SELECT min(unixepoch(installed_on)) FROM _sqlx_migrations) \
                    AND created_at < 1000 * (SELECT 1 + unixepoch(installed_on) FROM _sqlx_migrations WHERE version = 14) ORDER BY seq";
+        // A database on PostgreSQL is younger than the record.
+        if self.store.is_postgres() {
+            return Ok(Vec::new());
+        }
         let rows = sqlx::query(sql).fetch_all(&mut *self.inner).await?;
         // A row that cannot be parsed as a weighing has no place in a record of weighings.
         let found = rows.iter().filter_map(|row| weighing_row(row).ok());
@@ -116,28 +121,28 @@ impl Tx {
 }
 
 /// Whether the record contains a stock-taking.
-pub(super) async fn is_recorded(connection: &mut SqliteConnection) -> Result<bool> {
+pub(super) async fn is_recorded(connection: &mut AnyConnection) -> Result<bool> {
     let sql = "SELECT EXISTS (SELECT 1 FROM audit WHERE weighing IS NULL AND kind = 'stock')";
-    Ok(sqlx::query_scalar(sql).fetch_one(connection).await?)
+    let Flag(is) = sqlx::query_scalar(sql).fetch_one(connection).await?;
+    Ok(is)
 }
 
 /// State of the stock-taking in this database.
-pub(super) async fn stock(connection: &mut SqliteConnection) -> Result<Stock> {
+pub(super) async fn stock(connection: &mut AnyConnection) -> Result<Stock> {
     if is_recorded(connection).await? {
         return Ok(Stock::Taken);
     }
-    let table = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'stock')";
-    if !sqlx::query_scalar::<_, bool>(table).fetch_one(&mut *connection).await? {
+    if !has_table(connection, "stock").await? {
         return Ok(Stock::NotTaken);
     }
-    let marked: bool =
+    let Flag(marked) =
         sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM stock)").fetch_one(connection).await?;
     Ok(if marked { Stock::Gone } else { Stock::NotTaken })
 }
 
 /// A weighing as found by the stock-taking, and the record that holds it.
 pub(super) async fn found_weighing(
-    connection: &mut SqliteConnection,
+    connection: &mut AnyConnection,
     id: &str,
 ) -> Result<Option<(i64, OutcomeRecord)>> {
     let sql = "SELECT * FROM audit WHERE weighing IS NULL AND kind = 'rows' ORDER BY seq";
@@ -159,11 +164,12 @@ pub(super) fn rows_of(record: &Written) -> Option<Rows> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing;
     use crate::verify::ChangedRow;
 
     const WEIGHING: &str = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, \
          parameter_set, seed, state, outcome, reading_mg, created_at, finished_at) \
-         VALUES (?1, ?1, zeroblob(32), 'salt', 10, 1, 1, 'p-1', 'ps-1', 1, 'done', 'within', 10.2, 1000, 2000)";
+         VALUES ($1, $1, zeroblob(32), 'salt', 10, 1, 1, 'p-1', 'ps-1', 1, 'done', 'within', 10.2, 1000, 2000)";
 
     /// A folder from before each row had a record: the record is empty, and these weighings and a
     /// token exist.
@@ -205,6 +211,9 @@ mod tests {
     #[tokio::test]
     async fn rows_from_before_the_record_are_in_it_from_the_first_start_on_and_a_row_that_comes_later_is_not()
      {
+        if testing::only_sqlite_has("folders from before the record") {
+            return;
+        }
         let folder = tempfile::tempdir().unwrap();
         from_before(folder.path(), 250).await;
         let store = Store::open(folder.path()).await.unwrap();
@@ -251,13 +260,16 @@ mod tests {
     #[tokio::test]
     async fn a_row_that_is_older_than_its_database_or_younger_than_the_record_is_not_one_from_before_it()
      {
+        if testing::only_sqlite_has("folders from before the record") {
+            return;
+        }
         for created_at in [999, 62_000] {
             let folder = tempfile::tempdir().unwrap();
             from_before(folder.path(), 1).await;
             let options =
                 sqlx::sqlite::SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
             let pool = sqlx::SqlitePool::connect_with(options).await.unwrap();
-            let moved = sqlx::query("UPDATE weighing SET created_at = ?1").bind(created_at);
+            let moved = sqlx::query("UPDATE weighing SET created_at = $1").bind(created_at);
             assert_eq!(moved.execute(&pool).await.unwrap().rows_affected(), 1);
             pool.close().await;
             let store = Store::open(folder.path()).await.unwrap();
@@ -272,10 +284,9 @@ mod tests {
     #[tokio::test]
     async fn a_record_that_was_emptied_does_not_make_every_row_one_from_before_it() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
-        for sql in ["DROP TRIGGER audit_keeps", "DELETE FROM audit"] {
-            sqlx::query(sql).execute(store.writer().unwrap()).await.unwrap();
-        }
+        let store = testing::open(folder.path()).await.unwrap();
+        testing::drop_trigger(&store, "audit_keeps", "audit").await;
+        sqlx::query("DELETE FROM audit").execute(store.writer().unwrap()).await.unwrap();
         let found = store.verify_audit(None).await.unwrap();
         assert!(found.broken.is_some_and(|it| it.why.contains("cut off")));
     }

@@ -18,7 +18,7 @@ pub struct Stopped {
 impl Store {
     /// The first stop of a weighing by a person.
     pub async fn stop_of(&self, weighing: &str) -> Result<Option<Stopped>> {
-        let sql = "SELECT at, body ->> '$.who.name' AS by FROM audit WHERE weighing = ?1 \
+        let sql = "SELECT at, body ->> '$.who.name' AS by FROM audit WHERE weighing = $1 \
                    AND kind = 'person' AND body ->> '$.action' = 'stop' ORDER BY seq LIMIT 1";
         let row = sqlx::query(sql).bind(weighing).fetch_optional(&self.reader).await?;
         row.map(|row| Ok(Stopped { at: row.time("at")?, by: row.plain("by")? })).transpose()

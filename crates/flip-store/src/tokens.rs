@@ -3,11 +3,12 @@
 
 use super::page::{Page, Window};
 use super::row::{Columns, word};
+use super::sql::Flag;
 use super::{Error, Result, Store, Tx, now};
 use crate::artifacts::sha256_hex;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// How long an expired token is still reported, ms: its last use may not be stored yet.
 const EXPIRED_KEPT_MS: i64 = 86_400_000;
@@ -62,7 +63,7 @@ impl Store {
     /// Every token but those that expired more than a day ago, of which log-ins leave many, on a
     /// connection that nobody else waits for.
     pub async fn every_token(&self) -> Result<Vec<HashedToken>> {
-        let sql = "SELECT * FROM token WHERE expires_at IS NULL OR expires_at > ?1 ORDER BY seq";
+        let sql = "SELECT * FROM token WHERE expires_at IS NULL OR expires_at > $1 ORDER BY seq";
         let since = now().unix_ms() - EXPIRED_KEPT_MS;
         let rows = sqlx::query(sql).bind(since).fetch_all(&self.apart).await?;
         rows.iter()
@@ -72,23 +73,23 @@ impl Store {
 
     /// Tokens, newest first.
     pub async fn tokens(&self, window: Window) -> Result<Page<TokenEntry>> {
-        let sql = "SELECT * FROM token WHERE seq < ?1 ORDER BY seq DESC LIMIT ?2";
+        let sql = "SELECT * FROM token WHERE seq < $1 ORDER BY seq DESC LIMIT $2";
         let query = sqlx::query(sql).bind(window.before()).bind(window.rows());
         window.page_of(&query.fetch_all(&self.reader).await?, entry)
     }
 
     /// Whether there are any tokens.
     pub async fn has_tokens(&self) -> Result<bool> {
-        Ok(sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM token)")
-            .fetch_one(&self.reader)
-            .await?)
+        let sql = "SELECT EXISTS (SELECT 1 FROM token)";
+        let Flag(has) = sqlx::query_scalar(sql).fetch_one(&self.reader).await?;
+        Ok(has)
     }
 }
 
 impl Tx {
     /// Store the hash of a new token's secret.
     pub async fn insert_token(&mut self, new: &HashedToken) -> Result<()> {
-        let sql = "INSERT INTO token (id, name, role, sha256, created_at, expires_at, may_clear, issuer, subject) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
+        let sql = "INSERT INTO token (id, name, role, sha256, created_at, expires_at, may_clear, issuer, subject) VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9)";
         let HashedToken { entry, sha256 } = new;
         sqlx::query(sql)
             .bind(&entry.id)
@@ -110,7 +111,7 @@ impl Tx {
     /// Revoke a token; one that has ended stays as it was. `None`: there is none.
     pub async fn revoke_token(&mut self, id: &str, now: Timestamp) -> Result<Option<TokenEntry>> {
         let sql =
-            "UPDATE token SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL RETURNING *";
+            "UPDATE token SET revoked_at = $2 WHERE id = $1 AND revoked_at IS NULL RETURNING *";
         let row =
             sqlx::query(sql).bind(id).bind(now.unix_ms()).fetch_optional(&mut *self.inner).await?;
         if let Some(row) = row {
@@ -119,7 +120,7 @@ impl Tx {
                 .await?;
             return Ok(Some(revoked));
         }
-        let row = sqlx::query("SELECT * FROM token WHERE id = ?1")
+        let row = sqlx::query("SELECT * FROM token WHERE id = $1")
             .bind(id)
             .fetch_optional(&mut *self.inner)
             .await?;
@@ -129,7 +130,7 @@ impl Tx {
     /// Store when tokens were last used.
     pub async fn note_uses(&mut self, uses: &[(String, Timestamp)]) -> Result<()> {
         let sql =
-            "UPDATE token SET last_used_at = max(coalesce(last_used_at, 0), ?2) WHERE id = ?1";
+            "UPDATE token SET last_used_at = max(coalesce(last_used_at, 0), $2) WHERE id = $1";
         for (id, at) in uses {
             sqlx::query(sql).bind(id).bind(at.unix_ms()).execute(&mut *self.inner).await?;
         }
@@ -144,7 +145,7 @@ fn mark(sha256: &[u8]) -> String {
 }
 
 /// The fields of a row, by the names used in its record.
-pub(super) fn says(row: &SqliteRow) -> Result<serde_json::Value> {
+pub(super) fn says(row: &AnyRow) -> Result<serde_json::Value> {
     let mut said =
         serde_json::to_value(entry(row)?).map_err(|error| Error::Corrupt(error.to_string()))?;
     said["secret"] = mark(&row.plain::<Vec<u8>>("sha256")?).into();
@@ -154,12 +155,12 @@ pub(super) fn says(row: &SqliteRow) -> Result<serde_json::Value> {
     Ok(said)
 }
 
-fn entry(row: &SqliteRow) -> Result<TokenEntry> {
+fn entry(row: &AnyRow) -> Result<TokenEntry> {
     Ok(TokenEntry {
         id: row.plain("id")?,
         name: row.plain("name")?,
         role: row.word("token", "role")?,
-        may_clear: row.plain("may_clear")?,
+        may_clear: row.flag("may_clear")?,
         created_at: row.time("created_at")?,
         expires_at: row.maybe_time("expires_at")?,
         revoked_at: row.maybe_time("revoked_at")?,
@@ -172,11 +173,12 @@ fn entry(row: &SqliteRow) -> Result<TokenEntry> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing;
 
     #[tokio::test]
     async fn tokens_that_expired_long_ago_are_listed_and_not_read_again_and_again() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
         let ends = [None, Some(-2), Some(-25), Some(1)];
         for (k, hours) in ends.into_iter().enumerate() {

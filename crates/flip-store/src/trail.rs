@@ -6,8 +6,9 @@ use super::archive::{Order, aways, count_records};
 use super::audit::{AuditRecord, Written};
 use super::audit_search::{AuditFound, AuditWanted};
 use super::page::{LONG_BATCH, Window};
+use super::sql::Parts;
 use super::{Result, Store};
-use sqlx::{QueryBuilder, SqliteConnection};
+use sqlx::AnyConnection;
 
 impl Store {
     /// The records that match, newest first, and how many they are.
@@ -18,13 +19,13 @@ impl Store {
         let pool = if searches { &self.long } else { &self.reader };
         let mut tx = pool.begin().await?;
         let (before, rows) = (window.before(), window.rows());
-        let mut sql = QueryBuilder::new("SELECT count(*) FROM audit WHERE ");
+        let mut sql = Parts::new(self.is_postgres(), "SELECT count(*) FROM audit WHERE ");
         wanted.restrict(&mut sql);
-        let mut total: i64 = sql.build_query_scalar().fetch_one(&mut *tx).await?;
-        let mut sql = QueryBuilder::new("SELECT * FROM audit WHERE ");
+        let mut total: i64 = sql.scalar().fetch_one(&mut *tx).await?;
+        let mut sql = Parts::new(self.is_postgres(), "SELECT * FROM audit WHERE ");
         wanted.restrict(&mut sql);
         sql.push(" AND seq < ").push_bind(before).push(" ORDER BY seq DESC LIMIT ").push_bind(rows);
-        let mut found = records(&sql.build().fetch_all(&mut *tx).await?)?;
+        let mut found = records(&sql.query().fetch_all(&mut *tx).await?)?;
         if searches {
             let (some, count) = self.in_archives(&mut tx, wanted, before, rows).await?;
             found.extend(some);
@@ -54,7 +55,7 @@ impl Store {
     /// wherever they are.
     async fn in_archives(
         &self,
-        connection: &mut SqliteConnection,
+        connection: &mut AnyConnection,
         wanted: &AuditWanted,
         before: i64,
         rows: i64,
@@ -76,10 +77,10 @@ impl Store {
     /// The records that match after `after`, oldest first, at most a few thousand.
     pub async fn audit_after(&self, wanted: &AuditWanted, after: i64) -> Result<Vec<AuditRecord>> {
         let mut tx = self.long.begin().await?;
-        let mut sql = QueryBuilder::new("SELECT * FROM audit WHERE ");
+        let mut sql = Parts::new(self.is_postgres(), "SELECT * FROM audit WHERE ");
         wanted.restrict(&mut sql);
         sql.push(" AND seq > ").push_bind(after).push(" ORDER BY seq LIMIT ").push_bind(LONG_BATCH);
-        let mut found = records(&sql.build().fetch_all(&mut *tx).await?)?;
+        let mut found = records(&sql.query().fetch_all(&mut *tx).await?)?;
         if !wanted.may_be_archived() {
             return Ok(found);
         }
@@ -104,22 +105,24 @@ impl Store {
     }
 }
 
-fn records(rows: &[sqlx::sqlite::SqliteRow]) -> Result<Vec<AuditRecord>> {
+fn records(rows: &[sqlx::any::AnyRow]) -> Result<Vec<AuditRecord>> {
     rows.iter().map(|row| Written::of(row)?.record()).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing;
     use std::time::Duration;
 
     #[tokio::test]
     async fn long_answers_come_in_parts_and_take_no_reader_from_others() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         let many = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n WHERE k < 5000)
              INSERT INTO audit (seq, at, weighing, kind, body, hash)
-             SELECT (SELECT max(seq) FROM audit) + k, 0, NULL, 'reading', '{}', printf('%064d', k) FROM n";
+             SELECT (SELECT max(seq) FROM audit) + k, 0, NULL, 'reading', '{}', 
+                    CAST(10000000 + k AS TEXT) || '00000000000000000000000000000000000000000000000000000000' FROM n";
         sqlx::query(many).execute(store.writer().unwrap()).await.unwrap();
         let mut others = Vec::new();
         while let Some(reader) = store.reader.try_acquire() {

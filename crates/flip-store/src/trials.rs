@@ -88,20 +88,20 @@ pub struct Episode {
 impl Store {
     /// Trials of a calibration, in order.
     pub async fn trials(&self, job: &str, window: Window) -> Result<Page<Trial>> {
-        let sql = "SELECT position AS seq, body FROM trial WHERE job = ?1 AND position > ?2 ORDER BY position LIMIT ?3";
+        let sql = "SELECT position AS seq, body FROM trial WHERE job = $1 AND position > $2 ORDER BY position LIMIT $3";
         self.series(sql, job, window).await
     }
 
     /// Every trial of a calibration, in order: the history to resume from.
     pub async fn all_trials(&self, job: &str) -> Result<Vec<Trial>> {
-        let rows = sqlx::query("SELECT body FROM trial WHERE job = ?1 ORDER BY position").bind(job);
+        let rows = sqlx::query("SELECT body FROM trial WHERE job = $1 ORDER BY position").bind(job);
         rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
     }
 
     /// Every heap of an emulator so far, in order.
     pub async fn emulator_runs(&self, emulator: &str) -> Result<Vec<Trial>> {
         let rows =
-            sqlx::query("SELECT body FROM emulator_run WHERE emulator = ?1 ORDER BY position")
+            sqlx::query("SELECT body FROM emulator_run WHERE emulator = $1 ORDER BY position")
                 .bind(emulator);
         rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
     }
@@ -109,13 +109,13 @@ impl Store {
     /// Simulations of an observable so far, in order.
     pub async fn probes<T: DeserializeOwned>(&self, owner: &str) -> Result<Vec<T>> {
         let rows =
-            sqlx::query("SELECT body FROM probe WHERE owner = ?1 ORDER BY position").bind(owner);
+            sqlx::query("SELECT body FROM probe WHERE owner = $1 ORDER BY position").bind(owner);
         rows.fetch_all(&self.reader).await?.iter().map(|row| row.json("body")).collect()
     }
 
     /// Episodes of a training, in order.
     pub async fn episodes(&self, job: &str, window: Window) -> Result<Page<Episode>> {
-        let sql = "SELECT position AS seq, body FROM episode WHERE job = ?1 AND position > ?2 ORDER BY position LIMIT ?3";
+        let sql = "SELECT position AS seq, body FROM episode WHERE job = $1 AND position > $2 ORDER BY position LIMIT $3";
         self.series(sql, job, window).await
     }
 
@@ -138,10 +138,10 @@ impl Store {
 impl Tx {
     /// Append a trial. The key rejects one that is already stored.
     pub async fn insert_trial(&mut self, job: &str, trial: &Trial) -> Result<()> {
-        let sql = "INSERT INTO trial (job, position, body) VALUES (?1, ?2, ?3)";
+        let sql = "INSERT INTO trial (job, position, body) VALUES ($1, $2, $3)";
         sqlx::query(sql)
             .bind(job)
-            .bind(trial.index)
+            .bind(i64::from(trial.index))
             .bind(json(trial)?)
             .execute(&mut *self.inner)
             .await?;
@@ -150,10 +150,10 @@ impl Tx {
 
     /// Append a heap to an emulator. The key rejects one that is already stored.
     pub async fn insert_emulator_run(&mut self, emulator: &str, run: &Trial) -> Result<()> {
-        let sql = "INSERT INTO emulator_run (emulator, position, body) VALUES (?1, ?2, ?3)";
+        let sql = "INSERT INTO emulator_run (emulator, position, body) VALUES ($1, $2, $3)";
         sqlx::query(sql)
             .bind(emulator)
-            .bind(run.index)
+            .bind(i64::from(run.index))
             .bind(json(run)?)
             .execute(&mut *self.inner)
             .await?;
@@ -167,10 +167,10 @@ impl Tx {
         position: u32,
         body: &T,
     ) -> Result<()> {
-        let sql = "INSERT INTO probe (owner, position, body) VALUES (?1, ?2, ?3)";
+        let sql = "INSERT INTO probe (owner, position, body) VALUES ($1, $2, $3)";
         sqlx::query(sql)
             .bind(owner)
-            .bind(position)
+            .bind(i64::from(position))
             .bind(json(body)?)
             .execute(&mut *self.inner)
             .await?;
@@ -181,10 +181,10 @@ impl Tx {
     /// replays the episodes after its last checkpoint.
     pub async fn insert_episode(&mut self, job: &str, episode: &Episode) -> Result<bool> {
         let sql =
-            "INSERT INTO episode (job, position, body) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING";
+            "INSERT INTO episode (job, position, body) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING";
         let done = sqlx::query(sql)
             .bind(job)
-            .bind(episode.index)
+            .bind(i64::from(episode.index))
             .bind(json(episode)?)
             .execute(&mut *self.inner)
             .await?;

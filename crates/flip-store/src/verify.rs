@@ -14,7 +14,7 @@ use super::stock::{Stock, found_weighing, rows_of, stock};
 use super::weighings::{Weighing, WeighingRow, weighing_row};
 use super::{Error, Result, Store};
 use serde::{Deserialize, Serialize};
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Any, Transaction};
 use std::collections::HashMap;
 
 /// Maximum number of changed rows listed; there may be more.
@@ -104,7 +104,7 @@ impl Store {
     ) -> Result<(Option<ChangedRow>, Option<Weighing>)> {
         let id = &row.weighing.id;
         let mut tx = self.long.begin().await?;
-        let sql = "SELECT * FROM audit WHERE weighing = ?1 AND kind = 'outcome' ORDER BY seq DESC LIMIT 1";
+        let sql = "SELECT * FROM audit WHERE weighing = $1 AND kind = 'outcome' ORDER BY seq DESC LIMIT 1";
         let Some(record) = sqlx::query(sql).bind(id).fetch_optional(&mut *tx).await? else {
             return Ok((not_as_found(&mut tx, row).await?, None));
         };
@@ -124,7 +124,7 @@ impl Store {
 /// How the row of a weighing without a recorded outcome differs from the one found by the
 /// stock-taking.
 async fn not_as_found(
-    tx: &mut Transaction<'_, Sqlite>,
+    tx: &mut Transaction<'_, Any>,
     row: &WeighingRow,
 ) -> Result<Option<ChangedRow>> {
     let id = &row.weighing.id;
@@ -170,10 +170,10 @@ impl<'a> Walk<'a> {
     /// records in lost archives.
     async fn go_through_records(
         &mut self,
-        tx: &mut Transaction<'_, Sqlite>,
+        tx: &mut Transaction<'_, Any>,
     ) -> Result<Option<AuditBreak>> {
         loop {
-            let sql = "SELECT * FROM audit WHERE seq > ?1 ORDER BY seq LIMIT ?2";
+            let sql = "SELECT * FROM audit WHERE seq > $1 ORDER BY seq LIMIT $2";
             let rows =
                 sqlx::query(sql).bind(self.records).bind(LONG_BATCH).fetch_all(&mut **tx).await?;
             if rows.is_empty() {
@@ -194,7 +194,7 @@ impl<'a> Walk<'a> {
     /// Process archived records before this position.
     async fn go_through_archived(
         &mut self,
-        tx: &mut Transaction<'_, Sqlite>,
+        tx: &mut Transaction<'_, Any>,
         before: i64,
     ) -> Result<()> {
         while before > self.records + 1 {
@@ -246,7 +246,7 @@ impl<'a> Walk<'a> {
     }
 
     /// Process a record about a weighing, another row, or an archive.
-    async fn hear(&mut self, tx: &mut Transaction<'_, Sqlite>, record: Written) -> Result<()> {
+    async fn hear(&mut self, tx: &mut Transaction<'_, Any>, record: Written) -> Result<()> {
         self.said.hear(&record);
         self.look_at_archive(tx, &record).await?;
         if let Some(found) = rows_of(&record) {
@@ -287,7 +287,7 @@ impl<'a> Walk<'a> {
     /// table's entry for it matches the record.
     async fn look_at_archive(
         &mut self,
-        tx: &mut Transaction<'_, Sqlite>,
+        tx: &mut Transaction<'_, Any>,
         record: &Written,
     ) -> Result<()> {
         if record.kind != "person" || !record.body.contains(archive::DEED) {
@@ -319,7 +319,7 @@ impl<'a> Walk<'a> {
     /// types.
     async fn go_through_rows(
         &mut self,
-        tx: &mut Transaction<'_, Sqlite>,
+        tx: &mut Transaction<'_, Any>,
     ) -> Result<Option<AuditBreak>> {
         let stock = stock(tx).await?;
         if stock == Stock::Gone {
@@ -336,7 +336,7 @@ impl<'a> Walk<'a> {
         }
         // Before a stock-taking, weighings that predate the record are in no record.
         let since_ms = if stock == Stock::Taken { 0 } else { self.since_ms };
-        let sql = "SELECT id FROM weighing WHERE created_at >= ?1 ORDER BY seq";
+        let sql = "SELECT id FROM weighing WHERE created_at >= $1 ORDER BY seq";
         let ids: Vec<String> = sqlx::query_scalar(sql).bind(since_ms).fetch_all(&mut **tx).await?;
         for id in ids.into_iter().filter(|id| !self.known.contains(id)).collect::<Vec<_>>() {
             self.note(id, None, Some("the record has no intent of it".to_owned()));
@@ -369,8 +369,8 @@ impl<'a> Walk<'a> {
     }
 }
 
-async fn row_of(tx: &mut Transaction<'_, Sqlite>, id: &str) -> Result<Option<WeighingRow>> {
-    let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1")
+async fn row_of(tx: &mut Transaction<'_, Any>, id: &str) -> Result<Option<WeighingRow>> {
+    let row = sqlx::query("SELECT * FROM weighing WHERE id = $1")
         .bind(id)
         .fetch_optional(&mut **tx)
         .await?;

@@ -4,7 +4,7 @@ use super::row::Columns;
 use super::{Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// An address that is told of ends.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,7 +30,7 @@ pub struct WebhookRow {
     pub seq: i64,
 }
 
-fn read(row: &SqliteRow) -> Result<WebhookRow> {
+fn read(row: &AnyRow) -> Result<WebhookRow> {
     let webhook = Webhook {
         id: row.plain("id")?,
         url: row.plain("url")?,
@@ -56,7 +56,7 @@ impl Tx {
     pub async fn insert_webhook(&mut self, new: &Webhook, secret: &[u8]) -> Result<()> {
         sqlx::query(
             "INSERT INTO webhook (id, url, secret, created_at, seq)
-             VALUES (?1, ?2, ?3, ?4, (SELECT coalesce(max(seq), 0) FROM event))",
+             VALUES ($1, $2, $3, $4, (SELECT coalesce(max(seq), 0) FROM event))",
         )
         .bind(&new.id)
         .bind(&new.url)
@@ -70,7 +70,7 @@ impl Tx {
 
     /// Remove a webhook. `false`: there is none.
     pub async fn remove_webhook(&mut self, id: &str) -> Result<bool> {
-        let done = sqlx::query("DELETE FROM webhook WHERE id = ?1")
+        let done = sqlx::query("DELETE FROM webhook WHERE id = $1")
             .bind(id)
             .execute(&mut *self.inner)
             .await?;
@@ -85,7 +85,7 @@ impl Tx {
     /// Note that a webhook needs no message of events up to `seq`.
     pub async fn webhook_told(&mut self, id: &str, seq: i64) -> Result<()> {
         sqlx::query(
-            "UPDATE webhook SET seq = ?2, failing_since = NULL, error = NULL WHERE id = ?1",
+            "UPDATE webhook SET seq = $2, failing_since = NULL, error = NULL WHERE id = $1",
         )
         .bind(id)
         .bind(seq)
@@ -97,7 +97,7 @@ impl Tx {
     /// Note that a message failed, and why.
     pub async fn webhook_failed(&mut self, id: &str, why: &str) -> Result<()> {
         sqlx::query(
-            "UPDATE webhook SET failing_since = coalesce(failing_since, ?2), error = ?3 WHERE id = ?1",
+            "UPDATE webhook SET failing_since = coalesce(failing_since, $2), error = $3 WHERE id = $1",
         )
         .bind(id)
         .bind(now().unix_ms())

@@ -7,6 +7,7 @@ use super::jobs::path_of;
 use super::labels::Shown;
 use super::page::{Page, Window};
 use super::row::word;
+use super::sql::Parts;
 use super::weighings::{Weighing, weighing};
 use super::{Result, Store};
 use flip_core::domain::bench::BenchKind;
@@ -14,7 +15,6 @@ use flip_core::domain::labels::LabelWanted;
 use flip_core::domain::timestamp::Timestamp;
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use serde::{Deserialize, Serialize};
-use sqlx::{QueryBuilder, Sqlite};
 
 /// Which weighings. Empty: all.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -95,7 +95,7 @@ impl WeighingSort {
 
 impl WeighingsWanted {
     /// Adds the conditions to a statement that has come to its `WHERE`.
-    fn restrict(&self, shown: &Shown, sql: &mut QueryBuilder<Sqlite>) {
+    fn restrict(&self, shown: &Shown, sql: &mut Parts) {
         sql.push("TRUE");
         restrict_to(shown, self.list.is_some(), sql);
         let words = [
@@ -130,26 +130,24 @@ impl WeighingsWanted {
             sql.push(" AND created_at < ").push_bind(before.unix_ms());
         }
         for part in self.text.iter().flat_map(|text| text.split_whitespace()) {
-            let like = format!("%{}%", escaped(part));
             // Reading JSON takes most of the time: first whether the word is anywhere in it.
             sql.push(" AND (TRUE");
             if !part.contains(['"', '\\']) {
                 let row = "id || ' ' || powder || ' ' || policy || ' ' || coalesce(asked, '') || ' ' || coalesce(error, '')";
-                sql.push(format!(" AND {row} LIKE ")).push_bind(like.clone()).push(r" ESCAPE '\'");
+                sql.push(" AND ").contains(row, part);
             }
-            sql.push(
-                " AND concat_ws(' ', id, powder, policy, asked ->> 'lot', asked ->> 'vial', asked ->> 'operator', asked ->> 'list', asked ->> 'position', error) LIKE ",
-            );
-            sql.push_bind(like.clone()).push(r" ESCAPE '\'");
-            sql.push(" OR id IN (SELECT id FROM label WHERE kind = 'weighing' AND name LIKE ");
-            sql.push_bind(like).push(r" ESCAPE '\'))");
+            let words = "concat_ws(' ', id, powder, policy, asked ->> 'lot', asked ->> 'vial', asked ->> 'operator', \
+                         asked ->> 'list', asked ->> 'position', error)";
+            sql.push(" AND ").contains(words, part);
+            sql.push(" OR id IN (SELECT id FROM label WHERE kind = 'weighing' AND ");
+            sql.contains("name", part).push("))");
         }
     }
 }
 
 /// A weighing is archived with its list of doses, unless that list is asked for, and has the tags
 /// of its list.
-fn restrict_to(shown: &Shown, of_list: bool, sql: &mut QueryBuilder<Sqlite>) {
+fn restrict_to(shown: &Shown, of_list: bool, sql: &mut Parts) {
     let archived =
         |kind| format!("(SELECT id FROM label WHERE kind = '{kind}' AND archived_at IS NOT NULL)");
     let (doses, lists) = (archived("weighing"), archived("dose_list"));
@@ -171,18 +169,13 @@ fn restrict_to(shown: &Shown, of_list: bool, sql: &mut QueryBuilder<Sqlite>) {
     if let Some(tag) = &shown.tag {
         let tagged = |kind| {
             format!(
-                "(SELECT l.id FROM label l, json_each(l.tags) t WHERE l.kind = '{kind}' AND t.value = "
+                "(SELECT l.id FROM label l, json_each(l.tags) t WHERE l.kind = '{kind}' AND lower(t.value) = lower("
             )
         };
         sql.push(format!(" AND (id IN {}", tagged("weighing"))).push_bind(tag.clone());
-        sql.push(format!(" COLLATE NOCASE) OR asked ->> 'list' IN {}", tagged("dose_list")));
-        sql.push_bind(tag.clone()).push(" COLLATE NOCASE))");
+        sql.push(format!(")) OR asked ->> 'list' IN {}", tagged("dose_list")));
+        sql.push_bind(tag.clone()).push(")))");
     }
-}
-
-/// A word of which `LIKE` takes every character as itself.
-pub(super) fn escaped(word: &str) -> String {
-    word.replace('\\', r"\\").replace('%', r"\%").replace('_', r"\_")
 }
 
 impl Store {
@@ -192,18 +185,18 @@ impl Store {
         wanted: &WeighingsWanted,
         window: Window,
     ) -> Result<WeighingsFound> {
-        let mut count = QueryBuilder::new("SELECT count(*) FROM weighing WHERE ");
+        let mut count = Parts::new(self.is_postgres(), "SELECT count(*) FROM weighing WHERE ");
         wanted.restrict(&window.shown, &mut count);
-        let total: i64 = count.build_query_scalar().fetch_one(&self.reader).await?;
+        let total: i64 = count.scalar().fetch_one(&self.reader).await?;
         let key = wanted.sort.key();
-        let mut sql = QueryBuilder::new("SELECT * FROM weighing WHERE ");
+        let mut sql = Parts::new(self.is_postgres(), "SELECT * FROM weighing WHERE ");
         wanted.restrict(&window.shown, &mut sql);
         if let Some(after) = window.after {
             sql.push(format!(" AND ({key}, seq) < (SELECT {key}, seq FROM weighing WHERE seq = "));
             sql.push_bind(after).push(")");
         }
         sql.push(format!(" ORDER BY {key} DESC, seq DESC LIMIT ")).push_bind(window.rows());
-        let rows = sql.build().fetch_all(&self.reader).await?;
+        let rows = sql.query().fetch_all(&self.reader).await?;
         Ok(WeighingsFound { page: window.page_of(&rows, weighing)?, total: total.unsigned_abs() })
     }
 }

@@ -2,6 +2,7 @@
 //! poured twice.
 
 use super::row::{Columns, json, word};
+use super::sql::{Flag, Number};
 use super::{Result, Store, Tx};
 use crate::audit::{About, OutcomeRecord};
 use flip_core::domain::apparatus::Apparatus;
@@ -12,7 +13,7 @@ use flip_core::domain::timestamp::Timestamp;
 use flip_core::domain::vial::VialCheck;
 use flip_core::domain::weighing::{Asked, MeasuredMass, Outcome, WeighRequest, WeighingState};
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// One dose: the order and how it ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -209,7 +210,7 @@ pub fn weighing_topic(id: &str) -> String {
 impl Store {
     /// One weighing.
     pub async fn weighing(&self, id: &str) -> Result<Option<WeighingRow>> {
-        let row = sqlx::query("SELECT * FROM weighing WHERE id = ?1")
+        let row = sqlx::query("SELECT * FROM weighing WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.reader)
             .await?;
@@ -218,14 +219,14 @@ impl Store {
 
     /// The weighing with this key.
     pub async fn weighing_by_key(&self, key: &str) -> Result<Option<WeighingRow>> {
-        let sql = "SELECT * FROM weighing WHERE idempotency_key = ?1";
+        let sql = "SELECT * FROM weighing WHERE idempotency_key = $1";
         let row = sqlx::query(sql).bind(key).fetch_optional(&self.reader).await?;
         row.as_ref().map(weighing_row).transpose()
     }
 
     /// The ticks of a weighing that has no trace yet, from its events.
     pub async fn live_ticks(&self, id: &str) -> Result<Vec<Tick>> {
-        let sql = "SELECT data FROM event WHERE topic = ?1 AND kind = 'tick' ORDER BY seq";
+        let sql = "SELECT data FROM event WHERE topic = $1 AND kind = 'tick' ORDER BY seq";
         let rows = sqlx::query(sql).bind(weighing_topic(id)).fetch_all(&self.reader).await?;
         rows.iter().map(|row| row.json("data")).collect()
     }
@@ -240,7 +241,7 @@ impl Store {
     pub async fn waiting_weighings(&self) -> Result<Vec<Waiting>> {
         let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') ORDER BY seq";
         let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
-        let waiting = |row: &SqliteRow| {
+        let waiting = |row: &AnyRow| {
             let Weighing { id, powder, target_mg, asked, state, .. } = weighing(row)?;
             Ok(Waiting { id, powder, target_mg, vial: asked.vial, state })
         };
@@ -258,7 +259,7 @@ impl Store {
 impl Tx {
     /// The weighing with this key, as seen inside the transaction.
     pub async fn weighing_by_key(&mut self, key: &str) -> Result<Option<WeighingRow>> {
-        let sql = "SELECT * FROM weighing WHERE idempotency_key = ?1";
+        let sql = "SELECT * FROM weighing WHERE idempotency_key = $1";
         let row = sqlx::query(sql).bind(key).fetch_optional(&mut *self.inner).await?;
         row.as_ref().map(weighing_row).transpose()
     }
@@ -271,15 +272,16 @@ impl Tx {
 
     /// Whether a weighing belongs to a list of this name.
     pub async fn is_list(&mut self, name: &str) -> Result<bool> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE asked ->> 'list' = ?1)";
-        Ok(sqlx::query_scalar(sql).bind(name).fetch_one(&mut *self.inner).await?)
+        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE asked ->> 'list' = $1)";
+        let Flag(is) = sqlx::query_scalar(sql).bind(name).fetch_one(&mut *self.inner).await?;
+        Ok(is)
     }
 
     /// Store an intent.
     pub async fn insert_weighing(&mut self, intent: &Intent, now: Timestamp) -> Result<Weighing> {
         let sql = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, \
                    tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch, asked, vial_check, labels) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, 'planned', ?11, ?12, ?13, ?14, ?15, ?16) RETURNING *";
+                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, 'planned', $11, $12, $13, $14, $15, $16) RETURNING *";
         let request = &intent.request;
         let row = sqlx::query(sql)
             .bind(&intent.id)
@@ -315,8 +317,8 @@ impl Tx {
         bench: BenchKind,
         now: Timestamp,
     ) -> Result<Option<Weighing>> {
-        let sql = "UPDATE weighing SET state = 'armed', started_at = ?2, bench = ?3 \
-                   WHERE id = ?1 AND state IN ('planned', 'awaiting_vial') RETURNING *";
+        let sql = "UPDATE weighing SET state = 'armed', started_at = $2, bench = $3 \
+                   WHERE id = $1 AND state IN ('planned', 'awaiting_vial') RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(now.unix_ms())
@@ -332,7 +334,7 @@ impl Tx {
     /// A weighing's turn has come, and someone has to confirm that its vial is in. `false`: it no
     /// longer waits, or already waits for its vial.
     pub async fn await_vial(&mut self, id: &str, now: Timestamp) -> Result<bool> {
-        let sql = "UPDATE weighing SET state = 'awaiting_vial' WHERE id = ?1 AND state = 'planned' RETURNING *";
+        let sql = "UPDATE weighing SET state = 'awaiting_vial' WHERE id = $1 AND state = 'planned' RETURNING *";
         let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&mut *self.inner).await? else {
             return Ok(false);
         };
@@ -345,8 +347,9 @@ impl Tx {
     /// Whether a weighing waits for its vial, as seen inside the transaction.
     pub async fn awaits_vial(&mut self, id: &str) -> Result<bool> {
         let sql =
-            "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state = 'awaiting_vial')";
-        Ok(sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?)
+            "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = $1 AND state = 'awaiting_vial')";
+        let Flag(is) = sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?;
+        Ok(is)
     }
 
     /// Statements about vials hold until the process ends: weighings waiting for a vial wait for
@@ -368,7 +371,7 @@ impl Tx {
         state: WeighingState,
         now: Timestamp,
     ) -> Result<()> {
-        let sql = "UPDATE weighing SET state = ?2 WHERE id = ?1 AND state <> ?2 AND outcome IS NULL RETURNING *";
+        let sql = "UPDATE weighing SET state = $2 WHERE id = $1 AND state <> $2 AND outcome IS NULL RETURNING *";
         let row =
             sqlx::query(sql).bind(id).bind(word(&state)).fetch_optional(&mut *self.inner).await?;
         let Some(row) = row else { return Ok(()) };
@@ -388,8 +391,8 @@ impl Tx {
         ending: &Ending,
         now: Timestamp,
     ) -> Result<Option<Weighing>> {
-        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = ?1 AND state IN ('planned', 'awaiting_vial'))";
-        let waits: bool = sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?;
+        let sql = "SELECT EXISTS (SELECT 1 FROM weighing WHERE id = $1 AND state IN ('planned', 'awaiting_vial'))";
+        let Flag(waits) = sqlx::query_scalar(sql).bind(id).fetch_one(&mut *self.inner).await?;
         if waits { self.end_weighing(id, ending, now).await } else { Ok(None) }
     }
 
@@ -400,18 +403,18 @@ impl Tx {
         ending: &Ending,
         now: Timestamp,
     ) -> Result<Option<Weighing>> {
-        let sql = "UPDATE weighing SET state = ?2, outcome = ?3, dispensed_mg = ?4, reading_mg = ?5, error_mg = ?6, \
-                   shakes = ?7, seconds = ?8, trace = ?9, error = ?10, finished_at = ?11, measured = ?12, apparatus = ?13 \
-                   WHERE id = ?1 AND outcome IS NULL RETURNING *";
+        let sql = "UPDATE weighing SET state = $2, outcome = $3, dispensed_mg = $4, reading_mg = $5, error_mg = $6, \
+                   shakes = $7, seconds = $8, trace = $9, error = $10, finished_at = $11, measured = $12, apparatus = $13 \
+                   WHERE id = $1 AND outcome IS NULL RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(word(&ending.state))
             .bind(word(&ending.outcome))
-            .bind(ending.dispensed_mg)
-            .bind(ending.reading_mg)
-            .bind(ending.error_mg)
-            .bind(ending.shakes)
-            .bind(ending.seconds)
+            .bind(ending.dispensed_mg.map(Number))
+            .bind(ending.reading_mg.map(Number))
+            .bind(ending.error_mg.map(Number))
+            .bind(ending.shakes.map(i64::from))
+            .bind(ending.seconds.map(Number))
             .bind(&ending.trace)
             .bind(&ending.error)
             .bind(now.unix_ms())
@@ -427,14 +430,14 @@ impl Tx {
         Ok(Some(said.weighing))
     }
 
-    async fn announce_weighing(&mut self, row: &SqliteRow) -> Result<Weighing> {
+    async fn announce_weighing(&mut self, row: &AnyRow) -> Result<Weighing> {
         let weighing = weighing(row)?;
         self.emit(&weighing_topic(&weighing.id), "state", &weighing).await?;
         Ok(weighing)
     }
 }
 
-pub(super) fn weighing_row(row: &SqliteRow) -> Result<WeighingRow> {
+pub(super) fn weighing_row(row: &AnyRow) -> Result<WeighingRow> {
     let weighing = weighing(row)?;
     let patch: Option<serde_json::Value> = row.maybe_json("patch")?;
     Ok(WeighingRow {
@@ -447,7 +450,7 @@ pub(super) fn weighing_row(row: &SqliteRow) -> Result<WeighingRow> {
     })
 }
 
-pub(super) fn weighing(row: &SqliteRow) -> Result<Weighing> {
+pub(super) fn weighing(row: &AnyRow) -> Result<Weighing> {
     let shakes: Option<i64> = row.plain("shakes")?;
     Ok(Weighing {
         id: row.plain("id")?,

@@ -8,7 +8,7 @@ use super::{Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 /// Why a measurement no longer counts.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,7 +44,7 @@ impl Store {
 impl Tx {
     /// A measurement of a powder, if it exists.
     pub async fn measurement(&mut self, powder: &str, id: &str) -> Result<Option<Measurement>> {
-        let query = sqlx::query("SELECT * FROM measurement_all WHERE powder = ?1 AND id = ?2");
+        let query = sqlx::query("SELECT * FROM measurement_all WHERE powder = $1 AND id = $2");
         let row = query.bind(powder).bind(id).fetch_optional(&mut *self.inner).await?;
         row.as_ref().map(super::powders::measurement).transpose()
     }
@@ -55,7 +55,7 @@ impl Tx {
         powder: &str,
         id: &str,
     ) -> Result<Option<PowderObservation>> {
-        let query = sqlx::query("SELECT * FROM observation_all WHERE powder = ?1 AND id = ?2");
+        let query = sqlx::query("SELECT * FROM observation_all WHERE powder = $1 AND id = $2");
         let row = query.bind(powder).bind(id).fetch_optional(&mut *self.inner).await?;
         row.as_ref().map(super::observations::observation).transpose()
     }
@@ -68,7 +68,7 @@ impl Tx {
         replaced_by: Option<&str>,
     ) -> Result<Withdrawn> {
         let by = Who::now().map(|who| who.name);
-        let sql = "INSERT INTO withdrawal (id, reason, replaced_by, at, by) VALUES (?1, ?2, ?3, ?4, ?5) \
+        let sql = "INSERT INTO withdrawal (id, reason, replaced_by, at, by) VALUES ($1, $2, $3, $4, $5) \
                    RETURNING at AS withdrawn_at, by AS withdrawn_by, reason, replaced_by";
         let row = sqlx::query(sql)
             .bind(id)
@@ -86,7 +86,7 @@ impl Tx {
 }
 
 /// Why the measurement or observation of this row no longer counts; `None` if it does.
-pub(super) fn withdrawn(row: &SqliteRow) -> Result<Option<Withdrawn>> {
+pub(super) fn withdrawn(row: &AnyRow) -> Result<Option<Withdrawn>> {
     let Some(at) = row.maybe_time("withdrawn_at")? else { return Ok(None) };
     Ok(Some(Withdrawn {
         at,

@@ -33,7 +33,7 @@ fn stored(name: &str) -> PathBuf {
 
 /// The migrations up to a level.
 fn migrations(level: i64) -> Migrator {
-    let mut migrations = sqlx::migrate!("../../migrations");
+    let mut migrations = sqlx::migrate!("../../migrations/sqlite");
     migrations.migrations.to_mut().retain(|migration| migration.version <= level);
     migrations.set_ignore_missing(true);
     migrations

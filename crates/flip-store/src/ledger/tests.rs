@@ -2,7 +2,7 @@
 
 use super::{Claim, Claimed, DEATHS_MAX, FAILURES_MAX};
 use crate::jobs::Job;
-use crate::{Error, Result, Store};
+use crate::{Error, Result, Store, testing};
 use flip_core::domain::job::{JobKind, JobState, Progress, Subject};
 use flip_core::domain::labels::Labels;
 use flip_core::domain::timestamp::Timestamp;
@@ -25,7 +25,7 @@ const LEASE: i64 = 30;
 impl Ledger {
     async fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = testing::open(folder.path()).await.unwrap();
         let mut tx = store.write().await.unwrap();
         let (job, created) = tx
             .insert_job(
@@ -244,8 +244,8 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
     }
     // Of a newer program, and older than any other.
     let foreign = "INSERT INTO job (seq, id, kind, spec, spec_sha256, state, created_at) \
-                   VALUES (-1, 'foreign', 'seance', '{}', randomblob(32), 'queued', 0)";
-    sqlx::query(foreign).execute(ledger.store.writer().unwrap()).await.unwrap();
+                   VALUES (-1, 'foreign', 'seance', '{}', $1, 'queued', 0)";
+    sqlx::query(foreign).bind(vec![8; 32]).execute(ledger.store.writer().unwrap()).await.unwrap();
     let next = async |seconds| -> Vec<String> {
         let claimable = ledger.store.claimable(at(seconds)).await.unwrap();
         claimable.into_iter().map(|(_, job)| job).collect()
