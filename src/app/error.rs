@@ -108,6 +108,7 @@ impl From<store::Error> for Error {
             | store::Error::Busy
             | store::Error::Full
             | store::Error::Disk(_)
+            | store::Error::Unreachable(_)
             | store::Error::Gone(_) => Self::Unavailable(error.to_string()),
             error if error.is_closed() => {
                 Self::Unavailable("FLIP is shutting down: try again after the restart".into())
