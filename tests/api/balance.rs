@@ -102,6 +102,9 @@ async fn a_vial_that_was_tared_with_powder_in_it_is_still_known_as_not_empty() {
     let poured_mg = first["reading_mg"].as_f64().unwrap();
     let shown = ok(service.get(BALANCE).await).await;
     assert!((mass_mg(&shown) - poured_mg).abs() < 5.0, "{shown} after {poured_mg}");
+    // Refused with twelve grams on the pan, and so forgets nothing.
+    let refused = problem(order(&service, "zero", &json!({})).await, 409).await;
+    assert_eq!(code(&refused), "balance-failed");
     let tared = ok(order(&service, "tare", &json!({})).await).await;
     assert!(mass_mg(&tared).abs() <= 2.0, "{tared}");
     let bench: Value = service.get("/v1/bench").await.json().await.unwrap();

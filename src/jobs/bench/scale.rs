@@ -3,7 +3,6 @@
 use super::{Bench, audit_exchanges};
 use flip_bench::hardware::DeviceError;
 use flip_bench::rig::{Order, Shown};
-use flip_core::domain::vial::Pan;
 use flip_store::{self as store, now};
 
 impl Bench {
@@ -18,46 +17,34 @@ impl Bench {
     /// Tares or zeroes the balance and records it, with the load that its zero stands for from then
     /// on. No dose may start meanwhile: hold [`Bench::alone`].
     ///
+    /// After a refusal, or where the record fails, the pan is known as before: if the balance did
+    /// not follow, a vial with powder in it is still recognised.
+    ///
     /// # Errors
-    /// [`store::Error`]: nothing was asked of the balance, or what it did is not recorded; what its
-    /// zero stands for is unknown then. Inside, why the balance did not.
+    /// [`store::Error`]: what the balance did is not recorded. Inside, why it did not.
     pub async fn zero_balance(&self, order: Order) -> store::Result<Result<Shown, DeviceError>> {
-        let pan = self.condition.pan();
-        let meanwhile = pan.being_zeroed();
-        self.record_zero(&meanwhile, None).await?;
         let shown = self.order(order).await;
-        let before_mg = shown.as_ref().ok().and_then(|shown| shown.before_mg);
-        let after = before_mg.map_or(meanwhile, |mg| pan.zeroed(mg, self.readability_mg()));
-        self.record_zero(&after, Some((order, &shown))).await?;
-        Ok(shown)
-    }
-
-    /// Records the pan, unless the bench exchanges vials, and what was done.
-    async fn record_zero(
-        &self,
-        pan: &Pan,
-        done: Option<(Order, &Result<Shown, DeviceError>)>,
-    ) -> store::Result<()> {
+        let (details, exchanges) = match &shown {
+            Ok(Shown { before_mg, reading, exchanges }) => {
+                let seen =
+                    serde_json::json!({ "before_mg": before_mg, "shows_mg": reading.mass_mg });
+                (seen, exchanges.as_slice())
+            }
+            Err(error) => (serde_json::json!({ "failed": error.to_string() }), &[][..]),
+        };
         let mut tx = self.store.write().await?;
-        if let Some((order, shown)) = done {
-            let details = match shown {
-                Ok(Shown { before_mg, reading, .. }) => {
-                    serde_json::json!({ "before_mg": before_mg, "shows_mg": reading.mass_mg })
-                }
-                Err(error) => serde_json::json!({ "failed": error.to_string() }),
-            };
-            tx.audit_deed(None, order.verb(), details, now()).await?;
-            let exchanges = shown.as_ref().map_or(&[][..], |shown| &shown.exchanges);
-            audit_exchanges(&mut tx, None, exchanges, now()).await?;
-        }
-        if !self.exchanges_vials() {
+        tx.audit_deed(None, order.verb(), details, now()).await?;
+        audit_exchanges(&mut tx, None, exchanges, now()).await?;
+        let before_mg = shown.as_ref().ok().and_then(|shown| shown.before_mg);
+        let pan = before_mg
+            .filter(|_| !self.exchanges_vials())
+            .map(|mg| self.condition.pan().zeroed(mg, self.readability_mg()));
+        if let Some(pan) = &pan {
             tx.set_pan(pan).await?;
         }
         tx.commit().await?;
-        if !self.exchanges_vials() {
-            self.condition.set_pan(pan.clone());
-        }
-        Ok(())
+        pan.into_iter().for_each(|pan| self.condition.set_pan(pan));
+        Ok(shown)
     }
 
     async fn order(&self, order: Order) -> Result<Shown, DeviceError> {

@@ -309,13 +309,6 @@ impl Pan {
         }
     }
 
-    /// The state while the balance is being tared or zeroed between doses: what its zero stands for
-    /// is unknown, also if the process ends.
-    #[must_use]
-    pub fn being_zeroed(&self) -> Self {
-        Self { zero_mg: None, shown_mg: None, ..self.clone() }
-    }
-
     /// The state after the balance was tared or zeroed between doses, where it showed this before,
     /// mg. The vial stays what it is if that is where it was left.
     #[must_use]
@@ -446,7 +439,6 @@ mod tests {
     fn a_vial_tared_between_doses_stays_that_vial_and_another_one_does_not() {
         let lab = EmptyVial { empty_mg: 12_000.0, spread_mg: 15.0 };
         let pan = after(&[(11_999.0, 8.0)]);
-        assert_eq!(pan.being_zeroed().check(1.0, None), PanCheck::NONE);
         let same = pan.zeroed(9.0, Some(1.0));
         assert_eq!((same.shown_mg, same.zero_mg), (Some(0.0), Some(12_008.0)));
         assert_eq!(same.vial, pan.vial);
