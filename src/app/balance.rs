@@ -7,6 +7,7 @@ use flip_bench::hardware::DeviceError;
 use flip_bench::rig::{Order, Shown};
 use flip_core::domain::timestamp::Timestamp;
 use flip_store::now;
+use flip_store::who::{Who, acting_maybe};
 use serde::{Deserialize, Serialize};
 
 /// What the balance shows while nothing is dosed.
@@ -63,13 +64,19 @@ impl App {
 
     async fn change_zero(&self, order: Order, request: &BalanceRequest) -> Result<BalanceReading> {
         self.check_reservation(request.reservation.as_deref())?;
-        let bench = self.jobs_or_refuse()?.bench();
-        let alone = bench.alone().await;
-        let zeroed = self.zero_alone(order).await;
-        drop(alone);
-        // A dose whose turn came meanwhile.
-        bench.wake();
-        zeroed
+        let app = self.clone();
+        let work = async move {
+            let bench = app.jobs_or_refuse()?.bench();
+            let alone = bench.alone().await;
+            let zeroed = app.zero_alone(order).await;
+            drop(alone);
+            // A dose whose turn came meanwhile.
+            bench.wake();
+            zeroed
+        };
+        // What the balance has begun is recorded, also if the caller leaves meanwhile.
+        let carried_out = tokio::spawn(acting_maybe(Who::now(), work)).await;
+        carried_out.map_err(|error| Error::Internal(error.into()))?
     }
 
     /// Changes the zero while no dose starts.

@@ -117,6 +117,30 @@ async fn a_vial_that_was_tared_with_powder_in_it_is_still_known_as_not_empty() {
 }
 
 #[tokio::test]
+async fn a_tare_whose_caller_leaves_is_recorded_all_the_same() {
+    let spoon = Box::new(FormulaSpoon::new(Flow::default(), 1));
+    // A tare takes a while of the wall clock.
+    let laboratory = Laboratory::start(lab::Settings::default(), Clock::fast(5.0), spoon).unwrap();
+    let service = Service::ready_on(Arc::new(Devices::new(laboratory.file()))).await;
+    let token = service.token(Role::Operator).await;
+    let request = service.request("POST", &format!("{BALANCE}/tare")).bearer_auth(token);
+    let left = request.json(&json!({})).timeout(Duration::from_millis(50)).send().await;
+    assert!(left.unwrap_err().is_timeout(), "the caller has left");
+    let recorded = async || {
+        let audit: Value = service.get("/v1/audit?kind=person").await.json().await.unwrap();
+        let deeds = audit["items"].as_array().unwrap();
+        deeds.iter().any(|it| it["body"]["action"] == "tare" && it["body"]["shows_mg"].is_number())
+    };
+    for _ in 0..1000 {
+        if recorded().await {
+            return service.stop().await;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    panic!("the balance was tared, and nobody wrote it down");
+}
+
+#[tokio::test]
 async fn a_balance_that_is_not_there_in_use_or_not_the_callers_says_so() {
     let service = Service::ready().await;
     assert_eq!(code(&problem(service.get(BALANCE).await, 409).await), "no-balance");
