@@ -63,6 +63,7 @@ mod vials;
 mod webhooks;
 mod weighing_search;
 mod weighings;
+mod workers;
 
 pub use crate::jobs::bench::Unwritten;
 pub use crate::jobs::calibrate::{
@@ -74,7 +75,7 @@ pub use crate::jobs::film::{FilmHead, FilmResult, HeapHead, HeapRing, StepSeen};
 pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
 pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
-pub use crate::jobs::{Conditions, Functions, Workers, give_way_to_the_bench};
+pub use crate::jobs::{Conditions, Crew, Functions, Workers, compute_on, give_way_to_the_bench};
 pub(crate) use agent::agent;
 pub use asked::asked_after;
 pub use audit_search::{AUDIT_CSV_HEADER, AuditAsked, audit_csv};
@@ -112,6 +113,7 @@ pub use flip_discover::names;
 pub use flip_discover::reading::{ColumnRead, FileRead, LeftOut, NamedPowder, TakenAs};
 pub use flip_discover::report::{Report, Row, Verdict};
 pub use flip_policy::{Done, Observation};
+pub use flip_store::Storage;
 pub use flip_store::archive::LostArchive;
 pub use flip_store::archiving::Archived;
 pub use flip_store::audit::{AuditRecord, AuditVerification};
@@ -144,6 +146,7 @@ pub use flip_store::weighing_search::{WeighingSort, WeighingsFound, WeighingsWan
 pub use flip_store::weighings::{Waiting, Weighing};
 pub use flip_store::who::{Who, acting, correlated};
 pub use flip_store::withdrawals::Withdrawn;
+pub use flip_store::workers::Worker;
 pub use inference::{Driver, Driving, Proposal};
 pub use investigations::{
     Investigation, InvestigationRequest, predictions_csv, predictions_of_csv,
@@ -167,13 +170,13 @@ pub use vials::{ReservationRequest, VialReadyRequest};
 pub use webhooks::NewWebhook;
 pub use weighing_search::WeighingsAsked;
 pub use weighings::{IN_PORTIONS, Target, Tolerance, WeighingDetail, WeighingRequest};
+pub use workers::Hired;
 
 use crate::jobs::Jobs;
 use flip_policy::{Shipped, all_shipped};
 use flip_store::{self as store, Store};
 use keyring::Keyring;
 use readiness::LastLook;
-use std::path::Path;
 use std::sync::Arc;
 
 /// Options for opening an [`App`].
@@ -232,68 +235,89 @@ struct Inner {
 }
 
 impl App {
-    /// Opens a data folder for reading and writing; creates, migrates and seeds it when needed. One
-    /// process at a time.
+    /// Opens a data folder, or the database on a server, for reading and writing; creates, migrates
+    /// and seeds it when needed. One process at a time.
     ///
     /// # Errors
     /// [`OpenError::Held`] while another process has it open.
-    pub async fn open(data_dir: &Path, options: Options) -> std::result::Result<Self, OpenError> {
-        let failed = |error| OpenError::of(data_dir, error);
-        let store = Store::open(data_dir).await.map_err(failed)?;
+    pub async fn open(
+        storage: impl Into<Storage>,
+        options: Options,
+    ) -> std::result::Result<Self, OpenError> {
+        let storage = storage.into();
+        let failed = |error| OpenError::of(&storage, error);
+        let store = Store::open(&storage).await.map_err(failed)?;
         store_shipped_policies(&store).await.map_err(failed)?;
         let jobs =
             Jobs::start(store.clone(), options.functions, options.workers).await.map_err(failed)?;
         Self::of(store, Some(jobs), options.laboratory, options.oidc).await.map_err(failed)
     }
 
-    /// Opens a data folder for reading, even while `flip serve` holds it. Anything that would write
+    /// Opens what is stored for reading, even while `flip serve` holds it. Anything that would write
     /// returns `Unavailable`.
     ///
-    /// A folder that no process holds is opened for writing without workers instead, so that a new
-    /// one is migrated.
-    ///
-    /// # Errors
-    /// [`OpenError::Failed`]
-    pub async fn open_to_read(data_dir: &Path) -> std::result::Result<Self, OpenError> {
-        match Self::open(data_dir, Options::without_workers()).await {
-            Err(OpenError::Held(_)) => {}
-            opened => return opened,
-        }
-        let failed = |error| OpenError::of(data_dir, error);
-        let store = Store::open_to_read(data_dir).await.map_err(failed)?;
-        Self::of(store, None, None, None).await.map_err(failed)
-    }
-
-    /// Opens a data folder read-only and changes nothing, not even an older schema, after the
-    /// checks that a start performs. None if nothing is there yet.
-    ///
-    /// # Errors
-    /// [`OpenError::Failed`]
-    pub async fn look_into(data_dir: &Path) -> std::result::Result<Option<Self>, OpenError> {
-        let failed = |error| OpenError::of(data_dir, error);
-        match Store::examine(data_dir).await.map_err(failed)? {
-            Some(store) => Ok(Some(Self::of(store, None, None, None).await.map_err(failed)?)),
-            None => Ok(None),
-        }
-    }
-
-    /// Opens a data folder for changes that affect no bench and no job, such as to tokens, even
-    /// while `flip serve` holds it: its records and ours form one chain, because each is written in
-    /// a transaction that waits for the other.
-    ///
-    /// A folder that no process holds is opened without workers instead, so that a new one is
+    /// What no process holds is opened for writing without workers instead, so that a new folder is
     /// migrated.
     ///
     /// # Errors
     /// [`OpenError::Failed`]
-    pub async fn open_beside(data_dir: &Path) -> std::result::Result<Self, OpenError> {
-        match Self::open(data_dir, Options::without_workers()).await {
-            Err(OpenError::Held(_)) => {}
-            opened => return opened,
+    pub async fn open_to_read(storage: impl Into<Storage>) -> std::result::Result<Self, OpenError> {
+        let storage = storage.into();
+        match Self::open_if_free(&storage).await? {
+            Some(opened) => Ok(opened),
+            None => Self::without_jobs(&storage, Store::open_to_read(&storage).await).await,
         }
-        let failed = |error| OpenError::of(data_dir, error);
-        let store = Store::open_beside(data_dir).await.map_err(failed)?;
-        Self::of(store, None, None, None).await.map_err(failed)
+    }
+
+    /// Opens what is stored read-only and changes nothing, not even an older schema, after the
+    /// checks that a start performs. None if nothing is there yet.
+    ///
+    /// # Errors
+    /// [`OpenError::Failed`]
+    pub async fn look_into(
+        storage: impl Into<Storage>,
+    ) -> std::result::Result<Option<Self>, OpenError> {
+        let storage = storage.into();
+        match Store::examine(&storage).await.transpose() {
+            Some(store) => Ok(Some(Self::without_jobs(&storage, store).await?)),
+            None => Ok(None),
+        }
+    }
+
+    /// Opens what is stored for changes that affect no bench and no job, such as to tokens, even
+    /// while `flip serve` holds it: its records and ours form one chain, because each is written in
+    /// a transaction that waits for the other.
+    ///
+    /// What no process holds is opened without workers instead, so that a new folder is migrated.
+    ///
+    /// # Errors
+    /// [`OpenError::Failed`]
+    pub async fn open_beside(storage: impl Into<Storage>) -> std::result::Result<Self, OpenError> {
+        let storage = storage.into();
+        match Self::open_if_free(&storage).await? {
+            Some(opened) => Ok(opened),
+            None => Self::without_jobs(&storage, Store::open_beside(&storage).await).await,
+        }
+    }
+
+    /// Opens it without workers unless another process holds it, or need not be kept from it: a
+    /// server's database that is there waits for nobody.
+    async fn open_if_free(storage: &Storage) -> std::result::Result<Option<Self>, OpenError> {
+        if storage.is_served_ready().await.map_err(|error| OpenError::of(storage, error))? {
+            return Ok(None);
+        }
+        match Self::open(storage, Options::without_workers()).await {
+            Err(OpenError::Held(_)) => Ok(None),
+            opened => opened.map(Some),
+        }
+    }
+
+    async fn without_jobs(
+        storage: &Storage,
+        store: store::Result<Store>,
+    ) -> std::result::Result<Self, OpenError> {
+        let failed = |error| OpenError::of(storage, error);
+        Self::of(store.map_err(failed)?, None, None, None).await.map_err(failed)
     }
 
     async fn of(
@@ -345,28 +369,29 @@ async fn store_shipped_policies(store: &Store) -> store::Result<()> {
     tx.commit().await
 }
 
-/// Why a data folder cannot be opened.
+/// Why what is stored cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// Another process has it open; the command line exits 2.
     #[error("{0}")]
     Held(String),
     /// Anything else.
-    #[error("cannot open the data folder {path}: {cause}")]
+    #[error("cannot open {what}: {cause}")]
     Failed {
-        /// The folder.
-        path: String,
+        /// The data folder, or the database on a server.
+        what: String,
         /// Why.
         cause: String,
     },
 }
 
 impl OpenError {
-    fn of(data_dir: &Path, error: store::Error) -> Self {
+    fn of(storage: &Storage, error: store::Error) -> Self {
+        let kind = if storage.is_on_server() { "database" } else { "data folder" };
         match error {
             store::Error::Held(_) => Self::Held(error.to_string()),
             other => {
-                Self::Failed { path: data_dir.display().to_string(), cause: other.to_string() }
+                Self::Failed { what: format!("the {kind} {storage}"), cause: other.to_string() }
             }
         }
     }

@@ -92,7 +92,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     runtime()?.block_on(async {
         let signals = StopSignals::catch()?;
         let options = Options { workers: Workers::GiveWay, ..arguments.bench.options()? };
-        let app = App::open(&common.data_dir, options).await?;
+        let app = App::open(common.storage()?, options).await?;
         // Cancelled when the service is to end, and by the service when it ends by itself.
         let stop = CancellationToken::new();
         let service = match serve(&app, arguments, &stop) {

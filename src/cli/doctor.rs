@@ -5,7 +5,7 @@ use super::failure::Failure;
 use super::health;
 use super::session::runtime;
 use super::table::table;
-use crate::app::{App, OpenError, Timestamp};
+use crate::app::{App, OpenError, Storage, Timestamp};
 use serde::Serialize;
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
@@ -66,7 +66,7 @@ fn failed(what: &'static str, found: impl Into<String>) -> Finding {
 /// Runs all checks; exit status 1 if one fails.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let mut findings = vec![processor(), memory(), clock(), descriptors()];
-    findings.extend(data_folder(&common.data_dir)?);
+    findings.extend(storage(&common.storage()?)?);
     findings.push(port(arguments.listen));
     findings.extend(arguments.bench.as_deref().map(bench));
     common.print(&findings, || text(&findings))?;
@@ -157,15 +157,16 @@ fn descriptors() -> Finding {
     }
 }
 
-/// The folder, its disk, and its content.
-fn data_folder(folder: &Path) -> Result<Vec<Finding>, Failure> {
+/// The folder, its disk, and the database.
+fn storage(storage: &Storage) -> Result<Vec<Finding>, Failure> {
+    let folder = storage.folder();
     let there = folder.is_dir();
     let here = Path::new(".");
     let is_there = |it: &&Path| !it.as_os_str().is_empty() && it.exists();
     let on = folder.ancestors().find(is_there).unwrap_or(here);
     let mut findings = vec![room(on), writable(folder, on)];
-    if there {
-        findings.extend(runtime()?.block_on(database(folder)));
+    if there || storage.is_on_server() {
+        findings.extend(runtime()?.block_on(database(storage)));
     }
     Ok(findings)
 }
@@ -209,12 +210,15 @@ fn writable(folder: &Path, on: &Path) -> Finding {
     }
 }
 
-/// The database of a folder, if it has one.
-async fn database(folder: &Path) -> Option<Finding> {
+/// The database, if there is one.
+async fn database(storage: &Storage) -> Option<Finding> {
     // Read-only: a doctor changes nothing, and a server may hold it.
-    Some(match App::look_into(folder).await {
+    Some(match App::look_into(storage).await {
         Err(OpenError::Held(why)) => warning("database", why),
         Err(error) => failed("database", error.to_string()),
+        Ok(None) if storage.is_on_server() => {
+            ok("database", format!("{storage} can be reached, and is empty or of an older FLIP"))
+        }
         Ok(None) => return None,
         Ok(Some(app)) => {
             let audit = app.verify_audit(None).await;
@@ -277,7 +281,7 @@ mod tests {
     fn a_folder_that_cannot_be_made_fails_and_a_fresh_one_does_not() {
         let folder = tempfile::tempdir().unwrap();
         let verdicts = |path: &Path| {
-            data_folder(path).unwrap().iter().map(|it| it.verdict).collect::<Vec<_>>()
+            storage(&path.into()).unwrap().iter().map(|it| it.verdict).collect::<Vec<_>>()
         };
         assert!(!verdicts(&folder.path().join("new/deeper")).contains(&Verdict::Failed));
         let file = folder.path().join("file");
@@ -292,11 +296,11 @@ mod tests {
     #[test]
     fn a_folder_that_lost_its_database_is_not_taken_for_a_fresh_one() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(data_folder(folder.path()).unwrap().iter().all(|it| it.what != "database"));
+        assert!(storage(&folder.path().into()).unwrap().iter().all(|it| it.what != "database"));
         let blobs = folder.path().join("blobs/ab");
         std::fs::create_dir_all(&blobs).unwrap();
         std::fs::write(blobs.join("ab".repeat(32)), b"a trace").unwrap();
-        let found = data_folder(folder.path()).unwrap();
+        let found = storage(&folder.path().into()).unwrap();
         assert!(
             found.iter().any(|it| it.what == "database" && it.verdict == Verdict::Failed),
             "{found:?}"
@@ -307,7 +311,7 @@ mod tests {
     fn a_database_that_is_none_is_named() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("flip.db"), "this is a letter").unwrap();
-        let found = data_folder(folder.path()).unwrap();
+        let found = storage(&folder.path().into()).unwrap();
         let database = found.iter().find(|it| it.what == "database").unwrap();
         assert_eq!(database.verdict, Verdict::Failed, "{}", database.found);
         assert_eq!(std::fs::read(folder.path().join("flip.db")).unwrap(), b"this is a letter");

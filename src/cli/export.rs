@@ -42,7 +42,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             let server = Server::at(address, common.token_file.as_deref())?;
             return written(export(There(server), out, format, told)).await;
         }
-        let app = App::open_to_read(&common.data_dir).await?;
+        let app = App::open_to_read(common.storage()?).await?;
         let exported = written(export(Folder::of(app.clone()), out, format, told)).await;
         app.shutdown().await?;
         exported

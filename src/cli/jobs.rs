@@ -5,7 +5,7 @@ use super::failure::Failure;
 use super::labels::label;
 use super::session::with_reader;
 use super::table::table;
-use crate::app::{Job, JobTimes, JobsWanted, PageQuery};
+use crate::app::{Job, JobTimes, JobsWanted, PageQuery, Worker};
 use clap::ValueEnum;
 use flip_core::domain::job::{JobKind, JobState};
 use flip_core::domain::labels::LabelWanted;
@@ -16,6 +16,10 @@ pub(super) struct Arguments {
     /// How long jobs took on this machine, by kind, instead of the list.
     #[arg(long, conflicts_with_all = ["kind", "state", "label", "after"])]
     times: bool,
+    /// The processes that compute jobs, instead of the list: what each does, and when it was last
+    /// heard of.
+    #[arg(long, conflicts_with_all = ["times", "kind", "state", "label", "after"])]
+    workers: bool,
     /// Only jobs of this kind.
     #[arg(long, value_enum)]
     kind: Option<KindFlag>,
@@ -34,7 +38,7 @@ pub(super) struct Arguments {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum KindFlag {
+pub(super) enum KindFlag {
     Calibration,
     Training,
     Evaluation,
@@ -59,6 +63,10 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     if arguments.times {
         let times = with_reader(common, async |lab| Ok(lab.job_times().await?))?;
         return common.print(&times, || times_text(&times));
+    }
+    if arguments.workers {
+        let workers = with_reader(common, async |lab| Ok(lab.workers().await?))?;
+        return common.print(&workers, || workers_text(&workers));
     }
     let page = PageQuery {
         limit: Some(arguments.limit),
@@ -90,6 +98,24 @@ fn times_text(times: &[JobTimes]) -> String {
     table(
         &["kind", "method", "n", "quartile s", "median s", "quartile s"],
         &times.iter().map(row).collect::<Vec<_>>(),
+    )
+}
+
+fn workers_text(workers: &[Worker]) -> String {
+    let row = |it: &Worker| {
+        let kinds = it.kinds.iter().map(|kind| word(serde_json::to_value(kind)));
+        vec![
+            it.name.clone(),
+            if it.serves { "serves" } else { "" }.to_owned(),
+            it.threads.to_string(),
+            kinds.collect::<Vec<_>>().join(", "),
+            it.heard_at.to_string(),
+            if it.ended_at.is_some() { "has ended".to_owned() } else { it.jobs.join(", ") },
+        ]
+    };
+    table(
+        &["worker", "", "threads", "takes", "last heard of", "computes"],
+        &workers.iter().map(row).collect::<Vec<_>>(),
     )
 }
 

@@ -48,8 +48,9 @@ mod view;
 mod watch;
 mod weigh;
 mod weigh_list;
+mod worker;
 
-use crate::app::{ArchivedItems, LIST_LIMIT_MAX, PageQuery, Shown};
+use crate::app::{ArchivedItems, FieldError, LIST_LIMIT_MAX, PageQuery, Shown, Storage};
 use crate::telemetry;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use failure::Failure;
@@ -87,6 +88,17 @@ struct Common {
     /// published powders.
     #[arg(long, global = true, value_name = "DIR", default_value = "flip-data")]
     data_dir: PathBuf,
+    /// Database on a server of PostgreSQL 15 or newer, such as postgres://flip@db.lab/flip, instead
+    /// of a file in the data folder. A password belongs in ~/.pgpass or in this variable, not on a
+    /// command line that others can see.
+    #[arg(
+        long,
+        global = true,
+        value_name = "URL",
+        env = "FLIP_DATABASE_URL",
+        hide_env_values = true
+    )]
+    database_url: Option<String>,
     /// Seed for every random choice: the same seed gives the same result on any number of threads.
     #[arg(long, global = true, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -110,6 +122,8 @@ struct Common {
 enum Command {
     /// Serve the web page, REST and gRPC on one port until SIGTERM or Ctrl-C.
     Serve(serve::Arguments),
+    /// Compute the jobs of a database on a server, on this machine, until SIGTERM or Ctrl-C.
+    Worker(worker::Arguments),
     /// Go from published measurements to doses: calibrate, train, weigh, print the table, keep
     /// serving.
     Demo(demo::Arguments),
@@ -210,11 +224,12 @@ pub fn main() -> ExitCode {
 fn run(cli: &Cli) -> Result<(), Failure> {
     let common = &cli.common;
     // A server chooses its own log; a second start does nothing.
-    if !matches!(cli.command, Command::Serve(_)) {
+    if !matches!(cli.command, Command::Serve(_) | Command::Worker(_)) {
         telemetry::start(telemetry::Format::Text, telemetry::COMMAND);
     }
     match &cli.command {
         Command::Serve(arguments) => serve::run(common, arguments),
+        Command::Worker(arguments) => worker::run(common, arguments),
         Command::Demo(arguments) => demo::run(common, arguments),
         Command::Observe(arguments) => observe::run(common, arguments),
         Command::Compare(arguments) => compare::run(common, arguments),
@@ -254,6 +269,13 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 }
 
 impl Common {
+    /// Where everything is stored.
+    fn storage(&self) -> Result<Storage, Failure> {
+        let Some(url) = &self.database_url else { return Ok(Storage::in_folder(&self.data_dir)) };
+        let storage = Storage::on_server(url, &self.data_dir);
+        storage.map_err(|error| FieldError::new("database_url", error.to_string()).into())
+    }
+
     /// The server to ask, if one is named.
     fn server(&self) -> Result<Option<Server>, Failure> {
         let at = |address| Server::at(address, self.token_file.as_deref());

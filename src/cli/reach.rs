@@ -5,6 +5,7 @@
 use super::config::is_given;
 use super::failure::Failure;
 use clap::ArgMatches;
+use clap::parser::ValueSource;
 use flip_core::domain::FieldError;
 
 const COMPUTES: &str = "computes on this computer";
@@ -13,8 +14,9 @@ const IS_OF_DEVICES: &str = "speaks to devices of this computer";
 const IS_OF_THE_BINARY: &str = "is about this program, not about a server";
 
 /// Commands without a counterpart in a server.
-const HERE: [(&str, &str); 20] = [
+const HERE: [(&str, &str); 21] = [
     ("serve", "is a server itself"),
+    ("worker", COMPUTES),
     ("demo", "is a server itself"),
     ("observe", COMPUTES),
     ("heap", COMPUTES),
@@ -37,8 +39,9 @@ const HERE: [(&str, &str); 20] = [
 ];
 
 /// Options for which a server has something of its own.
-const OWN: [(&str, &str); 5] = [
+const OWN: [(&str, &str); 6] = [
     ("data_dir", "the server has its own data folder: leave --data-dir out"),
+    ("database_url", "the server has its own database: leave --database-url out"),
     ("bench", "the server has its own bench: leave --bench out"),
     ("emulated_hidden", "the server has its own bench: leave --emulated-hidden out"),
     ("laboratory", "the server names its own laboratory: leave --laboratory out"),
@@ -104,10 +107,12 @@ pub(super) fn check(typed: &ArgMatches) -> Result<(), Failure> {
     }
 }
 
-/// What was typed and is not the server's.
+/// What was typed and is not the server's. What the environment says of every call gives way.
 fn refused(command: &str, typed: &ArgMatches) -> Vec<FieldError> {
+    let is_typed =
+        |id: &clap::Id| typed.value_source(id.as_str()) == Some(ValueSource::CommandLine);
     let refused = |id: &clap::Id| {
-        let why = own(command, id.as_str()).filter(|_| is_given(typed, id.as_str()))?;
+        let why = own(command, id.as_str()).filter(|_| is_typed(id))?;
         Some(FieldError::new(id.as_str(), why))
     };
     typed.ids().filter_map(refused).collect()

@@ -78,7 +78,7 @@ struct SilaArguments {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum LogFormat {
+pub(super) enum LogFormat {
     Text,
     Json,
 }
@@ -105,7 +105,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             oidc: arguments.oidc.provider()?,
             ..arguments.bench.options()?
         };
-        let app = App::open(&common.data_dir, options).await?;
+        let app = App::open(common.storage()?, options).await?;
         let sila = arguments.sila.config(&common.data_dir, &arguments.address);
         let server = match bind(&app, &arguments.address, sila) {
             Ok(server) => server,

@@ -57,7 +57,7 @@ fn with_options<T>(
     }
     runtime()?.block_on(async {
         let mut signals = StopSignals::catch()?;
-        let app = App::open(&common.data_dir, options).await.map_err(or_ask_it)?;
+        let app = App::open(common.storage()?, options).await.map_err(or_ask_it)?;
         let lab = Lab::from(&app);
         let result = tokio::select! {
             result = acting(Who::command_line(), work(&lab)) => result,
@@ -77,7 +77,7 @@ pub(super) fn beside<T>(
         return there(server, work);
     }
     runtime()?.block_on(async {
-        let app = App::open_beside(&common.data_dir).await?;
+        let app = App::open_beside(common.storage()?).await?;
         let result = acting(Who::command_line(), work(&Lab::from(&app))).await;
         closed(&app, result).await
     })
@@ -92,7 +92,7 @@ pub(super) fn with_reader<T>(
         return there(server, work);
     }
     runtime()?.block_on(async {
-        let app = App::open_to_read(&common.data_dir).await?;
+        let app = App::open_to_read(common.storage()?).await?;
         let result = work(&Lab::from(&app)).await;
         closed(&app, result).await
     })

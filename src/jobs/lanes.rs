@@ -9,6 +9,16 @@ use flip_core::domain::job::JobKind;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
+/// Every kind of job.
+pub const KINDS: [JobKind; 6] = [
+    JobKind::Calibration,
+    JobKind::Training,
+    JobKind::Evaluation,
+    JobKind::Investigation,
+    JobKind::Repose,
+    JobKind::Film,
+];
+
 /// Which slots a job takes. Jobs of one lane start in the order in which they were requested.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lane {
@@ -34,6 +44,8 @@ pub fn lane_of(kind: JobKind) -> Lane {
 
 /// Slots for computing.
 pub(super) struct Lanes {
+    /// The kinds of jobs that are taken.
+    kinds: Vec<JobKind>,
     turns: Arc<Semaphore>,
     trainings: Arc<Semaphore>,
     /// Maximum concurrent trainings: as many as there are cores, and at least two.
@@ -47,12 +59,12 @@ pub(super) struct Lanes {
 pub(super) type Place = OwnedSemaphorePermit;
 
 impl Lanes {
-    /// All slots free.
-    pub fn new() -> Self {
-        let trainings_max =
-            std::thread::available_parallelism().map_or(2, |cores| cores.get().max(2)) as u32;
+    /// All slots free, for jobs of these kinds on so many threads.
+    pub fn new(kinds: Vec<JobKind>, threads: u32) -> Self {
+        let trainings_max = threads.max(2);
         let free = |places: u32| Arc::new(Semaphore::new(places as usize));
         Self {
+            kinds,
             turns: free(1),
             trainings: free(trainings_max),
             trainings_max,
@@ -61,8 +73,11 @@ impl Lanes {
         }
     }
 
-    /// Takes a slot for a job of this kind; `None` if all are taken.
+    /// Takes a slot for a job of this kind; `None` if all are taken, or if it is none of ours.
     pub fn take(&self, kind: JobKind) -> Option<Place> {
+        if !self.kinds.contains(&kind) {
+            return None;
+        }
         self.of(kind).clone().try_acquire_owned().ok()
     }
 
@@ -91,7 +106,7 @@ mod tests {
 
     #[tokio::test]
     async fn trainings_compute_beside_everything_and_the_rest_takes_turns() {
-        let lanes = Lanes::new();
+        let lanes = Lanes::new(KINDS.to_vec(), 3);
         let calibration = lanes.take(JobKind::Calibration).unwrap();
         assert!(lanes.take(JobKind::Evaluation).is_none());
         assert!(lanes.take(JobKind::Investigation).is_none());
@@ -109,5 +124,12 @@ mod tests {
         drop((trainings, measurement, film));
         lanes.all_free().await;
         assert!(lanes.take(JobKind::Training).is_some());
+    }
+
+    #[test]
+    fn a_job_of_another_kind_is_left_for_others() {
+        let lanes = Lanes::new(vec![JobKind::Calibration], 1);
+        assert!(lanes.take(JobKind::Training).is_none());
+        assert!(lanes.take(JobKind::Calibration).is_some());
     }
 }

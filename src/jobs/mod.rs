@@ -5,7 +5,8 @@
 //!  App -- a row --> [store: the ledger is the queue]
 //!     | wakes             | the oldest row of each kind
 //!     v                   v
-//!  worker.rs   take a slot of its lane (lanes.rs) and claim the row: fence + lease
+//!  worker.rs   take a slot of its lane (lanes.rs) and claim the row: fence + lease;
+//!     |        other processes may do the same, crew.rs says who is there
 //!     |        lease.rs renews the lease from a thread of its own
 //!     v
 //!  a compute thread: train.rs, several at once | calibrate.rs, evaluate.rs, investigate.rs, one at a time | repose.rs, on the bench | film.rs, episode_film.rs
@@ -19,6 +20,7 @@
 pub mod bench;
 pub mod calibrate;
 mod conditions;
+mod crew;
 pub mod episode_film;
 pub mod evaluate;
 pub mod film;
@@ -41,8 +43,9 @@ pub mod train;
 mod worker;
 
 pub use conditions::Conditions;
-pub use lanes::lane_of;
-pub use priority::give_way_to_the_bench;
+pub use crew::{Crew, JobWorker};
+pub use lanes::{KINDS, lane_of};
+pub use priority::{compute_on, give_way_to_the_bench};
 pub use runner::{
     Cores, HeapExperiment, HeapRunner, ObservableExperiment, ObservableRunner, Run, Runner,
     SpoonRunner, heaps_on_cores, observables_on_cores, spoons_on_cores,
@@ -58,6 +61,7 @@ use flip_core::domain::labels::Labels;
 use flip_store::jobs::Job;
 use flip_store::ledger::Lease;
 use flip_store::pan::Refused;
+use flip_store::workers::Worker;
 use flip_store::{self as store, Store, Tx, new_id, now};
 use lanes::Lanes;
 use std::collections::HashMap;
@@ -65,7 +69,6 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use stop::{Stop, StopFlag};
 use tokio::sync::Notify;
-use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 /// The functions that jobs and weighings compute with.
@@ -113,8 +116,7 @@ pub enum Workers {
 /// The machinery behind jobs and weighings. Dropping it without [`Jobs::shutdown`] ends it too, but
 /// without waiting.
 pub struct Jobs {
-    shared: Arc<Shared>,
-    worker: Mutex<Option<JoinHandle<()>>>,
+    worker: JobWorker,
     bench: Bench,
 }
 
@@ -133,6 +135,8 @@ struct Shared {
     /// Jobs being computed, by id.
     running: Mutex<HashMap<String, Running>>,
     lanes: Lanes,
+    /// Who takes them: the owner of their leases.
+    worker: Worker,
     /// Wakes the worker: a job waits, or a slot is free.
     wake: Notify,
     /// Cancelled when no more work is taken.
@@ -153,34 +157,28 @@ impl Jobs {
     ) -> store::Result<Self> {
         let held = Arc::<AtomicBool>::default();
         let bench = Bench::open(store.clone(), functions.rig.clone(), held.clone()).await?;
-        let shared = Arc::new(Shared {
-            store,
-            functions,
-            held,
-            running: Mutex::default(),
-            lanes: Lanes::new(),
-            wake: Notify::new(),
-            closing: CancellationToken::new(),
-            gives_way: workers == Workers::GiveWay,
-        });
-        let jobs = Self { shared, worker: Mutex::default(), bench };
-        if workers == Workers::GiveWay {
+        let gives_way = workers == Workers::GiveWay;
+        if gives_way {
             priority::make_pool_give_way();
         }
+        let crew = Crew { serves: true, ..Crew::default() };
+        let jobs = Self { worker: JobWorker::new(store, functions, held, crew, gives_way), bench };
         if workers != Workers::None {
-            jobs.take_up().await?;
+            // No other process serves what is stored, so leases of the last one are free.
+            jobs.shared().store.end_leases().await?;
+            jobs.bench.start().await?;
+            jobs.worker.start().await?;
         }
         Ok(jobs)
     }
 
-    /// The lock on the data folder proves that no other process works on it, so leases of the last
-    /// one are free.
-    async fn take_up(&self) -> store::Result<()> {
-        self.shared.store.end_leases().await?;
-        self.bench.start().await?;
-        let worker = tokio::spawn(worker::work(self.shared.clone()));
-        *self.worker.lock().unwrap_or_else(PoisonError::into_inner) = Some(worker);
-        Ok(())
+    fn shared(&self) -> &Shared {
+        self.worker.shared()
+    }
+
+    /// The id of this process among the workers.
+    pub fn worker(&self) -> &str {
+        &self.shared().worker.id
     }
 
     /// Queues a job. `false`: the same job was requested before, and this is it, with these labels
@@ -189,7 +187,7 @@ impl Jobs {
     /// # Errors
     /// [`store::Error`]
     pub async fn enqueue(&self, spec: &JobSpec, labels: &Labels) -> store::Result<(Job, bool)> {
-        self.queue(self.shared.store.write().await?, spec, (None, labels)).await
+        self.queue(self.shared().store.write().await?, spec, (None, labels)).await
     }
 
     /// Queues a job with the specification and the labels of one that failed or was cancelled, linked
@@ -200,7 +198,7 @@ impl Jobs {
     /// [`store::Error`]
     pub async fn enqueue_again(&self, spec: &JobSpec, before: &Job) -> store::Result<(Job, bool)> {
         let of = (Some(before.id.as_str()), &before.labels);
-        self.queue(self.shared.store.write().await?, spec, of).await
+        self.queue(self.shared().store.write().await?, spec, of).await
     }
 
     /// As [`Self::enqueue`], or as [`Self::enqueue_again`] if it starts another job again, if the
@@ -214,7 +212,7 @@ impl Jobs {
         reservation: Option<&str>,
         of: (Option<&str>, &Labels),
     ) -> store::Result<Result<(Job, bool), Refused>> {
-        let mut tx = self.shared.store.write().await?;
+        let mut tx = self.shared().store.write().await?;
         match tx.may_use_bench(reservation, now()).await? {
             Some(refused) => Ok(Err(refused)),
             None => Ok(Ok(self.queue(tx, spec, of).await?)),
@@ -242,7 +240,7 @@ impl Jobs {
         }
         tx.commit().await?;
         if created {
-            self.shared.wake.notify_one();
+            self.shared().wake.notify_one();
         }
         Ok((job, created))
     }
@@ -252,13 +250,13 @@ impl Jobs {
     /// # Errors
     /// [`store::Error`]
     pub async fn cancel(&self, id: &str) -> store::Result<Option<Job>> {
-        let mut tx = self.shared.store.write().await?;
+        let mut tx = self.shared().store.write().await?;
         let job = tx.request_cancel(id, now()).await?;
         if job.is_some() {
             tx.audit_deed(None, "cancel job", serde_json::json!({ "job": id }), now()).await?;
         }
         tx.commit().await?;
-        if let Some(running) = self.shared.running().get(id) {
+        if let Some(running) = self.shared().running().get(id) {
             running.stop.set(Stop::Cancelled);
         }
         Ok(job)
@@ -271,29 +269,15 @@ impl Jobs {
 
     /// Cancelled when work ends: for anything that waits for events.
     pub fn closing(&self) -> CancellationToken {
-        self.shared.closing.clone()
+        self.shared().closing.clone()
     }
 
     /// Stops the bench, takes no more jobs, lets running ones save a checkpoint and return to the
     /// queue.
     pub async fn shutdown(&self) {
-        self.shared.closing.cancel();
-        for running in self.shared.running().values() {
-            running.stop.set(Stop::Shutdown);
-        }
+        self.worker.close();
         self.bench.shutdown().await;
-        let worker = self.worker.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(worker) = worker
-            && let Err(error) = worker.await
-        {
-            tracing::error!(%error, "the worker ended badly");
-        }
-    }
-}
-
-impl Drop for Jobs {
-    fn drop(&mut self) {
-        self.shared.closing.cancel();
+        self.worker.shutdown().await;
     }
 }
 

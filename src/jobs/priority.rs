@@ -33,6 +33,14 @@ pub fn give_way_to_the_bench() {
     }
 }
 
+/// Computes on so many threads. Only the first call in a process has an effect, and only before
+/// anything was computed.
+pub fn compute_on(threads: usize) {
+    if rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().is_err() {
+        tracing::warn!("the threads that compute began before their number was set");
+    }
+}
+
 /// Makes the shared compute threads yield. Only the first call in a process has an effect, and only
 /// before anything was computed.
 pub(super) fn make_pool_give_way() {

@@ -12,16 +12,24 @@ use super::{
 };
 use flip_core::domain::job::JobState;
 use flip_store::ledger::{Claim, Claimed, Lease};
+use flip_store::workers::Worker;
 use flip_store::{self as store, Store, now};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
+use tokio::sync::watch;
 
 /// How often an idle worker looks for jobs that nothing has woken it for: those whose lease has
 /// expired, and those of another process.
 const POLL: Duration = Duration::from_secs(2);
+
+/// How long to wait for more events after one: a hundred trials are one reason to look, not a hundred.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// How often a worker says that it is there.
+const BEAT: Duration = Duration::from_secs(5);
 
 /// How long a computation may continue after it was asked to stop: one heap on a busy machine takes
 /// longer than a shutdown may wait.
@@ -34,21 +42,56 @@ const SETTLE_PAUSE: Duration = Duration::from_secs(1);
 
 /// Starts waiting jobs until the machinery closes, then waits for those that run.
 pub(super) async fn work(shared: Arc<Shared>) {
-    let owner = format!("flip-{}", store::new_id());
+    let mut events = shared.store.watch_events();
+    let mut heard = Instant::now();
     while !shared.closing.is_cancelled() {
-        if let Err(error) = start_waiting(&shared, &owner).await {
+        if let Err(error) = start_waiting(&shared).await {
             tracing::warn!(%error, "waiting jobs were not started; the next try may");
+        }
+        if shared.store.is_shared() {
+            events.borrow_and_update();
+            if let Err(error) = hear_others(&shared, &mut heard).await {
+                tracing::warn!(%error, "other processes were not heard; the next try may");
+            }
         }
         tokio::select! {
             () = shared.closing.cancelled() => {}
             () = shared.wake.notified() => {}
             () = tokio::time::sleep(POLL) => {}
+            () = told(&shared, &mut events) => {}
         }
     }
     // A running computation holds a slot until the row is settled.
     if tokio::time::timeout(GRACE, shared.lanes.all_free()).await.is_err() {
         leave_behind(&shared).await;
     }
+}
+
+/// Waits until another process has written an event, and then a moment for more.
+async fn told(shared: &Shared, events: &mut watch::Receiver<i64>) {
+    // Of its own events a process that is alone is woken.
+    if !shared.store.is_shared() || events.changed().await.is_err() {
+        std::future::pending::<()>().await;
+    }
+    tokio::time::sleep(PAUSE).await;
+}
+
+/// Stops the jobs that another process was asked to cancel, and says that this one is there.
+async fn hear_others(shared: &Shared, heard: &mut Instant) -> store::Result<()> {
+    for job in shared.store.cancelled_of(&shared.worker.id).await? {
+        if let Some(running) = shared.running().get(&job) {
+            running.stop.set(Stop::Cancelled);
+        }
+    }
+    if heard.elapsed() < BEAT {
+        return Ok(());
+    }
+    *heard = Instant::now();
+    let mut tx = shared.store.write().await?;
+    if !tx.worker_heard(&shared.worker.id, now()).await? {
+        tx.insert_worker(&Worker { heard_at: now(), ..shared.worker.clone() }).await?;
+    }
+    tx.commit().await
 }
 
 /// Abandons computations that do not notice the shutdown in time: what they saved counts, they
@@ -77,12 +120,12 @@ async fn leave_behind(shared: &Shared) {
 
 /// Starts jobs, each time the one that has waited longest for a slot that is free, until there is
 /// none.
-async fn start_waiting(shared: &Arc<Shared>, owner: &str) -> store::Result<()> {
+async fn start_waiting(shared: &Arc<Shared>) -> store::Result<()> {
     while !shared.closing.is_cancelled() {
         let mut waiting = shared.store.claimable(now()).await?.into_iter();
         let next = waiting.find_map(|(kind, job)| Some((job, shared.lanes.take(kind)?)));
         let Some((job, place)) = next else { break };
-        if let Some(claimed) = claim(&shared.store, owner, &job).await? {
+        if let Some(claimed) = claim(&shared.store, &shared.worker.id, &job).await? {
             compute(shared.clone(), claimed, place);
         }
     }

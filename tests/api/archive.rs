@@ -2,7 +2,6 @@
 //! nothing is lost on the way there.
 
 use crate::harness::{Service, problem};
-use crate::toy::database;
 use flip::app::{Archived, back_up, restore};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -67,12 +66,12 @@ fn file_of(folder: &Path, done: &Archived) -> PathBuf {
 }
 
 async fn rows(service: &Service) -> i64 {
-    let pool = database(service.folder()).await;
+    let pool = flip_testing::pool(service.folder()).await;
     sqlx::query_scalar("SELECT count(*) FROM audit").fetch_one(&pool).await.unwrap()
 }
 
 async fn sql(service: &Service, sql: &'static str) {
-    let pool = database(service.folder()).await;
+    let pool = flip_testing::pool(service.folder()).await;
     sqlx::query(sql).execute(&pool).await.unwrap();
     pool.close().await;
 }
@@ -173,11 +172,15 @@ async fn an_end_between_the_file_and_the_rows_loses_nothing_and_the_next_try_goe
     let ids = [weighed(&service, "one").await];
     let (before, in_table) = (told(&service, &ids).await, rows(&service).await);
     // The transaction that names the file fails, as if the process had ended before it.
-    sql(
-        &service,
-        "CREATE TRIGGER ended BEFORE INSERT ON audit_away BEGIN SELECT RAISE(ABORT, 'ended'); END",
-    )
-    .await;
+    let ended = match flip_testing::on_postgres() {
+        true => {
+            "CREATE TRIGGER ended BEFORE INSERT ON audit_away FOR EACH ROW EXECUTE FUNCTION refuse_change()"
+        }
+        false => {
+            "CREATE TRIGGER ended BEFORE INSERT ON audit_away BEGIN SELECT RAISE(ABORT, 'ended'); END"
+        }
+    };
+    sql(&service, ended).await;
     assert!(service.app.archive_audit(LATER).await.is_err());
     let files = || std::fs::read_dir(service.folder().join("audit")).unwrap().count();
     assert_eq!((files(), rows(&service).await), (1, in_table));
@@ -185,7 +188,8 @@ async fn an_end_between_the_file_and_the_rows_loses_nothing_and_the_next_try_goe
         (told(&service, &ids).await, verified(&service).await["broken"].clone()),
         (before.clone(), Value::Null)
     );
-    sql(&service, "DROP TRIGGER ended").await;
+    let pool = flip_testing::pool(service.folder()).await;
+    flip_testing::drop_trigger(&pool, "ended", "audit_away").await;
     let done = archive(&service).await;
     assert_eq!((files(), done.weighings), (1, 1), "the same file");
     assert_eq!(
@@ -198,11 +202,11 @@ async fn an_end_between_the_file_and_the_rows_loses_nothing_and_the_next_try_goe
 async fn records_that_are_in_no_archive_cannot_be_deleted_and_what_was_changed_is_not_archived() {
     let service = Service::ready().await;
     weighed(&service, "one").await;
-    let pool = database(service.folder()).await;
+    let pool = flip_testing::pool(service.folder()).await;
     let delete =
         async || sqlx::query("DELETE FROM audit WHERE kind = 'intent'").execute(&pool).await;
     assert!(delete().await.unwrap_err().to_string().contains("only ever added to"));
-    sqlx::query("DROP TRIGGER audit_stays").execute(&pool).await.unwrap();
+    flip_testing::drop_trigger(&pool, "audit_stays", "audit").await;
     let done = sqlx::query(
         "UPDATE audit SET body = replace(body, 'mass_mg', 'mass_g') WHERE kind = 'reading'",
     );
@@ -215,6 +219,9 @@ async fn records_that_are_in_no_archive_cannot_be_deleted_and_what_was_changed_i
 
 #[tokio::test]
 async fn a_backup_holds_the_archives_and_says_which_are_lost() {
+    if flip_testing::only_sqlite_has("copies of its file") {
+        return;
+    }
     let service = Service::ready().await;
     weighed(&service, "one").await;
     let done = archive(&service).await;
@@ -234,10 +241,10 @@ async fn records_that_the_table_of_archives_gives_to_another_weighing_are_found(
     let service = Service::ready().await;
     let (one, two) = (weighed(&service, "one").await, weighed(&service, "two").await);
     archive(&service).await;
-    let pool = database(service.folder()).await;
-    sqlx::query("DROP TRIGGER audit_away_stays").execute(&pool).await.unwrap();
+    let pool = flip_testing::pool(service.folder()).await;
+    flip_testing::drop_trigger(&pool, "audit_away_stays", "audit_away").await;
     let rename = async |from: &str, to: &str| {
-        let rows = sqlx::query("UPDATE audit_away SET weighing = ?2 WHERE weighing = ?1")
+        let rows = sqlx::query("UPDATE audit_away SET weighing = $2 WHERE weighing = $1")
             .bind(from)
             .bind(to);
         assert!(rows.execute(&pool).await.unwrap().rows_affected() > 0);
@@ -260,9 +267,9 @@ async fn weighings_that_changed_their_names_in_the_table_of_archives_are_found()
     let service = Service::ready().await;
     let (one, two) = (weighed(&service, "one").await, weighed(&service, "two").await);
     archive(&service).await;
-    let pool = database(service.folder()).await;
-    sqlx::query("DROP TRIGGER audit_away_stays").execute(&pool).await.unwrap();
-    let swap = "UPDATE audit_away SET weighing = CASE weighing WHEN ?1 THEN ?2 ELSE ?1 END";
+    let pool = flip_testing::pool(service.folder()).await;
+    flip_testing::drop_trigger(&pool, "audit_away_stays", "audit_away").await;
+    let swap = "UPDATE audit_away SET weighing = CASE weighing WHEN $1 THEN $2 ELSE $1 END";
     sqlx::query(swap).bind(one).bind(two).execute(&pool).await.unwrap();
     assert!(
         verified(&service).await["broken"]["why"]
@@ -277,7 +284,8 @@ async fn what_the_table_of_archives_says_is_compared_with_the_record_also_where_
     let service = Service::ready().await;
     let (one, two) = (weighed(&service, "one").await, weighed(&service, "two").await);
     let done = archive(&service).await;
-    let (file, pool) = (file_of(service.folder(), &done), database(service.folder()).await);
+    let (file, pool) =
+        (file_of(service.folder(), &done), flip_testing::pool(service.folder()).await);
     let added = "INSERT INTO audit_away SELECT 1, 1, weighing, before, hash, archive, start, bytes FROM audit_away LIMIT 1";
     sqlx::query(added).execute(&pool).await.unwrap();
     let found = verified(&service).await;
@@ -285,13 +293,11 @@ async fn what_the_table_of_archives_says_is_compared_with_the_record_also_where_
         found["broken"]["why"].as_str().unwrap().contains("names parts that are not in the chain"),
         "{found}"
     );
-    for sql in [
-        "DROP TRIGGER audit_away_keeps",
-        "DROP TRIGGER audit_away_stays",
-        "DELETE FROM audit_away WHERE first = 1",
-    ] {
-        sqlx::query(sql).execute(&pool).await.unwrap();
+    for trigger in ["audit_away_keeps", "audit_away_stays"] {
+        flip_testing::drop_trigger(&pool, trigger, "audit_away").await;
     }
+    let removed = "DELETE FROM audit_away WHERE first = 1";
+    sqlx::query(removed).execute(&pool).await.unwrap();
     assert_eq!(verified(&service).await["broken"], Value::Null);
     std::fs::remove_file(file).unwrap();
     let of_two = async || {
@@ -303,7 +309,7 @@ async fn what_the_table_of_archives_says_is_compared_with_the_record_also_where_
             .unwrap()
     };
     assert!(of_two().await.iter().any(|it| it["kind"] == "lost"));
-    let renamed = sqlx::query("UPDATE audit_away SET weighing = ?2 WHERE weighing = ?1")
+    let renamed = sqlx::query("UPDATE audit_away SET weighing = $2 WHERE weighing = $1")
         .bind(&two)
         .bind(&one);
     renamed.execute(&pool).await.unwrap();
@@ -313,6 +319,9 @@ async fn what_the_table_of_archives_says_is_compared_with_the_record_also_where_
 
 #[tokio::test]
 async fn a_damaged_archive_is_copied_as_it_is_and_named_and_its_other_parts_still_read() {
+    if flip_testing::only_sqlite_has("copies of its file") {
+        return;
+    }
     let service = Service::ready().await;
     weighed(&service, "one").await;
     let other = weighed(&service, "two").await;

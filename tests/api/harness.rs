@@ -2,7 +2,7 @@
 
 use crate::toy::{Bench, Hold};
 use flip::api::{self, ServeConfig};
-use flip::app::{App, Functions, Oidc, Options, Role};
+use flip::app::{App, Functions, Oidc, Options, Role, Storage};
 use flip_bench::rig::Rig;
 use reqwest::{Method, Response};
 use serde_json::Value;
@@ -12,6 +12,14 @@ use std::time::Duration;
 use tempfile::TempDir;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
+
+/// Where the data folder's database is, on the database that tests run on.
+pub async fn storage(folder: &std::path::Path) -> Storage {
+    match flip_testing::database_url(folder).await {
+        Some(url) => Storage::on_server(&url, folder).unwrap(),
+        None => folder.into(),
+    }
+}
 
 /// A running service; dropping it ends it.
 pub struct Service {
@@ -67,7 +75,7 @@ impl Service {
         let rig = rig.unwrap_or_else(|| Arc::new(bench.clone()));
         let functions = Functions { rig, ..bench.functions() };
         let options = Options { functions, oidc, ..Options::default() };
-        let app = App::open(data.path(), options).await.unwrap();
+        let app = App::open(storage(data.path()).await, options).await.unwrap();
         let server = api::bind(app.clone(), config).unwrap();
         let (address, sila) = (server.address().unwrap(), server.sila_address().unwrap());
         let (stop, stopped) = oneshot::channel();

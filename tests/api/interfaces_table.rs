@@ -97,6 +97,8 @@
     ["-", "-", "audit archive", "moves records out of the database, while no service has it"],
     ["list_jobs", "Jobs/ListJobs", "jobs", ""],
     ["list_job_times", "Jobs/ListJobTimes", "-", "for people at the page and programs"],
+    ["list_workers", "Jobs/ListWorkers", "jobs", ""],
+    ["-", "-", "worker", "computes jobs of a database on a server"],
     ["get_job", "Jobs/GetJob", "jobs", ""],
     ["cancel_job", "Jobs/CancelJob", "jobs", ""],
     ["start_job_again", "Jobs/StartJobAgain", "jobs", ""],

@@ -103,7 +103,7 @@ async fn a_name_a_note_and_tags_are_kept_listed_searched_and_in_the_record() {
         of_weighing["items"].as_array().unwrap().iter().map(|it| &it["body"]["action"]).collect();
     assert_eq!(deeds.iter().filter(|deed| ***deed == json!("label")).count(), 4, "{deeds:?}");
     // A label that somebody changes in the file is found.
-    let pool = crate::toy::database(service.data_dir()).await;
+    let pool = flip_testing::pool(service.data_dir()).await;
     sqlx::query("UPDATE label SET archived_at = NULL WHERE kind = 'policy'")
         .execute(&pool)
         .await

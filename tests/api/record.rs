@@ -1,7 +1,6 @@
 //! The record against tampering with its subject: rows by SQL, files by hand.
 
 use crate::harness::{Service, fields, problem};
-use crate::toy::database;
 use flip::app::Role;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -19,7 +18,7 @@ pub async fn weighed(service: &Service, key: &str) -> String {
 }
 
 async fn change(service: &Service, sql: &'static str) {
-    let pool = database(service.folder()).await;
+    let pool = flip_testing::pool(service.folder()).await;
     let done = sqlx::query(sql).execute(&pool).await.unwrap();
     assert!(done.rows_affected() > 0, "{sql}");
     pool.close().await;
@@ -31,8 +30,8 @@ async fn verified(service: &Service) -> Value {
 
 /// Path of a weighing's ticks.
 async fn trace_file(service: &Service, id: &str) -> PathBuf {
-    let pool = database(service.folder()).await;
-    let sha256: String = sqlx::query_scalar("SELECT trace FROM weighing WHERE id = ?1")
+    let pool = flip_testing::pool(service.folder()).await;
+    let sha256: String = sqlx::query_scalar("SELECT trace FROM weighing WHERE id = $1")
         .bind(id)
         .fetch_one(&pool)
         .await
@@ -54,7 +53,7 @@ async fn a_result_row_that_was_changed_by_sql_neither_passes_verification_nor_is
         "UPDATE weighing SET asked = '{\"vial\":\"another\"}'",
         "UPDATE weighing SET finished_at = finished_at + 1000",
         "UPDATE weighing SET tolerance_upper_mg = 15",
-        "UPDATE weighing SET trace = lower(hex(zeroblob(32)))",
+        "UPDATE weighing SET trace = '0000000000000000000000000000000000000000000000000000000000000000'",
     ] {
         let service = Service::ready().await;
         let id = weighed(&service, "one").await;

@@ -3,7 +3,6 @@
 use crate::grpc::channel;
 use crate::harness::{Service, fields, problem};
 use crate::record::weighed;
-use crate::toy::database;
 use flip::api::grpc::proto;
 use flip::api::grpc::proto::weighings_client::WeighingsClient;
 use serde_json::Value;
@@ -15,12 +14,14 @@ const MORE: usize = 300;
 async fn crowded() -> Service {
     let service = Service::ready().await;
     weighed(&service, "one").await;
-    let pool = database(service.folder()).await;
+    let pool = flip_testing::pool(service.folder()).await;
+    // A number of four digits, in SQL that both databases know.
+    const ID: &str = "'w' || substr('0000' || n, length('0000' || n) - 3)";
     let sql = format!(
-        "WITH RECURSIVE k (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM k WHERE n < {MORE})
+        r#"WITH RECURSIVE k (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM k WHERE n < {MORE})
          INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg,
              policy, parameter_set, seed, state, outcome, error_mg, seconds, error, bench, asked, labels, created_at, finished_at)
-         SELECT printf('w%04d', n), printf('w%04d', n), request_sha256, CASE n % 2 WHEN 0 THEN 'salt' ELSE 'sand' END,
+         SELECT {ID}, {ID}, request_sha256, CASE n % 2 WHEN 0 THEN 'salt' ELSE 'sand' END,
              5 + n % 9, 1, 1, policy, parameter_set, n,
              CASE n % 4 WHEN 3 THEN 'aborted' ELSE 'done' END,
              CASE n % 4 WHEN 0 THEN 'within' WHEN 1 THEN 'over' WHEN 2 THEN 'under' ELSE 'aborted' END,
@@ -28,11 +29,11 @@ async fn crowded() -> Service {
              CASE n % 4 WHEN 3 THEN NULL ELSE n % 50 END,
              CASE n % 4 WHEN 3 THEN 'the arm lost its lease' END,
              CASE n % 3 WHEN 0 THEN 'devices' ELSE 'emulated' END,
-             json_object('lot', 'L' || (n % 5), 'vial', 'V' || n,
-                         'operator', CASE n % 3 WHEN 0 THEN 'Ada' WHEN 1 THEN 'Bo_Li' ELSE '100%' END),
-             CASE n % 4 WHEN 0 THEN json_object('plate.row', 'P:' || (n % 7)) END,
+             '{{"lot":"L' || (n % 5) || '","vial":"V' || n || '","operator":"' ||
+                 CASE n % 3 WHEN 0 THEN 'Ada' WHEN 1 THEN 'Bo_Li' ELSE '100%' END || '"}}',
+             CASE n % 4 WHEN 0 THEN '{{"plate.row":"P:' || (n % 7) || '"}}' END,
              1795000000000 + n * 3600000, 1795000000000 + n * 3600000
-         FROM k, (SELECT * FROM weighing LIMIT 1)"
+         FROM k, (SELECT * FROM weighing LIMIT 1)"#
     );
     sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&pool).await.unwrap();
     pool.close().await;

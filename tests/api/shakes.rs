@@ -178,7 +178,7 @@ async fn what_is_forgotten_is_not_listed_and_stays_on_record() {
     assert_eq!(verified["broken"], Value::Null, "{verified}");
     let trail = service.get("/v1/audit.json").await.text().await.unwrap();
     assert_eq!(trail.matches("\"forget shakes\"").count(), 2);
-    let pool = crate::toy::database(service.folder()).await;
+    let pool = flip_testing::pool(service.folder()).await;
     for sql in ["DELETE FROM forgotten WHERE lot IS NULL", "UPDATE spoonful SET lot = 'L9'"] {
         sqlx::query(sql).execute(&pool).await.unwrap();
     }

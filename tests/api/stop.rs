@@ -10,7 +10,6 @@ use flip::app::Role;
 use futures::StreamExt;
 use futures::stream;
 use serde_json::{Value, json};
-use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
@@ -163,23 +162,17 @@ async fn three_hundred_pollers_take_no_stop_away() {
 
 /// Rows that make exports long.
 async fn fill(service: &Service) {
-    let pool = database(service).await;
+    let pool = flip_testing::pool(service.folder()).await;
     let many = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n WHERE k < 20000)";
     for insert in [
         "INSERT INTO measurement (id, powder, method, repose_deg, sd_deg, n, source, created_at)
          SELECT 'many-' || k, 'salt', 'manual', 30, 1, 5, '', 0 FROM n",
         "INSERT INTO audit (seq, at, weighing, kind, body, hash)
-         SELECT (SELECT coalesce(max(seq), 0) FROM audit) + k, 0, NULL, 'reading', '{\"mass_mg\":1.0}', printf('%064d', k) FROM n",
+         SELECT (SELECT coalesce(max(seq), 0) FROM audit) + k, 0, NULL, 'reading', '{\"mass_mg\":1.0}', substr('0000000000000000000000000000000000000000000000000000000000000000' || k, length('0000000000000000000000000000000000000000000000000000000000000000' || k) - 63) FROM n",
     ] {
         sqlx::query(sqlx::AssertSqlSafe(format!("{many} {insert}"))).execute(&pool).await.unwrap();
     }
     pool.close().await;
-}
-
-async fn database(service: &Service) -> SqlitePool {
-    let file = service.data_dir().join("flip.db");
-    let options = SqliteConnectOptions::new().filename(file).busy_timeout(Duration::from_secs(5));
-    SqlitePool::connect_with(options).await.unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -329,7 +322,7 @@ async fn a_write_lock_that_another_process_holds_delays_no_stop() {
     let _held = service.hold_bench();
     let id = pouring(&service).await;
     let token = service.token(Role::Operator).await;
-    let pool = database(&service).await;
+    let pool = flip_testing::pool(service.folder()).await;
     let lock = pool.begin_with("BEGIN IMMEDIATE").await.unwrap();
     let (status, bench) = stop(&service, &token).await;
     assert_eq!(status, 200, "{bench}");
@@ -343,7 +336,7 @@ async fn a_stop_asks_no_database_who_shows_its_token() {
     let _held = service.hold_bench();
     let id = pouring(&service).await;
     let token = service.token(Role::Operator).await;
-    let pool = database(&service).await;
+    let pool = flip_testing::pool(service.folder()).await;
     sqlx::query("ALTER TABLE token RENAME TO token_away").execute(&pool).await.unwrap();
     assert_eq!(stop(&service, &token).await.0, 200);
     assert_eq!(outcome(&service, &id).await, "stopped");
@@ -371,7 +364,7 @@ async fn two_hundred_stops_of_waiting_weighings_behind_a_write_lock_delay_no_sto
         ids.push(asked_for(&service, &format!("waits-{k}")).await);
     }
     let token = service.token(Role::Operator).await;
-    let lock = database(&service).await.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let lock = flip_testing::locked(service.folder()).await;
     let mut stops = stops_of_waiting(&service, &token, &ids, 200);
     for _ in 0..20 {
         let held: Value = service.get("/v1/bench").await.json().await.unwrap();
@@ -403,7 +396,7 @@ async fn stops_of_waiting_weighings_leave_room_for_a_stop_of_the_bench_on_the_sa
     let moving = pouring(&service).await;
     let id = asked_for(&service, "waits").await;
     let token = service.token(Role::Operator).await;
-    let lock = database(&service).await.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let lock = flip_testing::locked(service.folder()).await;
     let channel = channel(&service).await;
     let mut stops = JoinSet::new();
     for _ in 0..200 {

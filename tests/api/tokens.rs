@@ -1,7 +1,7 @@
 //! Tokens: made, listed, ended, also by another process; and who did what in the record.
 
 use crate::grpc::with_token;
-use crate::harness::{Service, problem};
+use crate::harness::{Service, problem, storage};
 use flip::api::grpc::proto::tokens_client::TokensClient;
 use flip::api::grpc::proto::weighings_client::WeighingsClient;
 use flip::api::grpc::proto::{
@@ -37,7 +37,7 @@ async fn deeds(service: &Service) -> Vec<Value> {
 #[tokio::test]
 async fn a_token_that_another_process_made_opens_at_once_and_one_that_it_revoked_closes() {
     let service = Service::start().await;
-    let other = App::open_beside(service.folder()).await.unwrap();
+    let other = App::open_beside(storage(service.folder()).await).await.unwrap();
     let secret = other.create_token("from beside", Role::Operator).await.unwrap();
     assert_eq!(may_write(&service, &secret, "flour").await, 201);
     let id = secret.split('_').nth(1).unwrap();
@@ -132,7 +132,7 @@ async fn streams_of_events_end_when_their_token_expires_or_is_revoked_here_or_el
         drop(service.app.revoke_token(&id(&secret)).await.unwrap())
     })
     .await;
-    let other = App::open_beside(service.folder()).await.unwrap();
+    let other = App::open_beside(storage(service.folder()).await).await.unwrap();
     let secret = service.token(Role::Admin).await;
     follow(&service, weighing, &secret, async || {
         drop(other.revoke_token(&id(&secret)).await.unwrap())
@@ -219,7 +219,7 @@ async fn the_record_names_who_made_and_ended_a_token_and_who_changed_the_data() 
 #[tokio::test]
 async fn the_command_line_is_named_as_such() {
     let service = Service::start().await;
-    let other = App::open_beside(service.folder()).await.unwrap();
+    let other = App::open_beside(storage(service.folder()).await).await.unwrap();
     acting(Who::command_line(), other.create_token("robot", Role::Viewer)).await.unwrap();
     other.shutdown().await.unwrap();
     assert_eq!(deeds(&service).await[0]["who"]["name"], "command line");

@@ -11,7 +11,6 @@ use flip_core::domain::weighing::Outcome;
 use flip_policy::{self as policy, Controller, Kind, Manifest, Policy, Rules, ScheduledStep};
 use flip_sim::repose::{Refusal, Repose, Settings};
 use sha2::{Digest, Sha256};
-use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -148,29 +147,22 @@ fn fixed_policy() -> (String, String, Vec<u8>) {
     (policy::id(&bytes), text, bytes)
 }
 
-/// The database of a data folder, opened by anyone with the file.
-pub async fn database(data_dir: &Path) -> SqlitePool {
-    let options = SqliteConnectOptions::new()
-        .filename(data_dir.join("flip.db"))
-        .busy_timeout(Duration::from_secs(5));
-    SqlitePool::connect_with(options).await.unwrap()
-}
-
 /// Puts a calibrated salt and a policy into the database of a data folder, as a calibration and a
 /// training would.
 pub async fn calibrate_salt(data_dir: &Path) {
-    let pool = database(data_dir).await;
+    let pool = flip_testing::pool(data_dir).await;
     let set = ParameterSet::default();
     sqlx::query(
         "INSERT INTO job (id, kind, spec, spec_sha256, state, result, created_at, finished_at)
-         VALUES ('toy', 'calibration', '{}', zeroblob(32), 'succeeded', '{}', 0, 0)",
+         VALUES ('toy', 'calibration', '{}', $1, 'succeeded', '{}', 0, 0)",
     )
+    .bind(vec![0_u8; 32])
     .execute(&pool)
     .await
     .unwrap();
     sqlx::query(
         "INSERT INTO parameter_set (id, powder, calibration, position, parameters, repose_deg, runs, error_deg, created_at)
-         VALUES (?1, 'salt', 'toy', 0, ?2, 36, 1, 0, 0)",
+         VALUES ($1, 'salt', 'toy', 0, $2, 36, 1, 0, 0)",
     )
     .bind(set.id())
     .bind(serde_json::to_string(&set).unwrap())
@@ -179,7 +171,7 @@ pub async fn calibrate_salt(data_dir: &Path) {
     .unwrap();
     let (id, manifest, bytes) = fixed_policy();
     sqlx::query(
-        "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES (?1, 'fixed', ?2, ?3, ?4, 0)",
+        "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES ($1, 'fixed', $2, $3, $4, 0)",
     )
     .bind(id)
     .bind(manifest)

@@ -2,22 +2,11 @@
 //! gone), and while the bench is latched.
 
 use crate::harness::{Service, problem};
-use crate::toy::database;
 use flip::app::Role;
 use serde_json::{Value, json};
-use sqlx::Connection;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_check_response::ServingStatus;
 use tonic_health::pb::health_client::HealthClient;
-
-/// Another program holding the database's write lock.
-async fn locked(service: &Service) -> SqliteConnection {
-    let options = SqliteConnectOptions::new().filename(service.folder().join("flip.db"));
-    let mut other = SqliteConnection::connect_with(&options).await.unwrap();
-    sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
-    other
-}
 
 /// How often health is asked for, 50 ms apart: much longer than a change takes to be noticed.
 const LOOKS: usize = 600;
@@ -60,7 +49,7 @@ async fn a_database_that_another_program_locks_is_a_503_that_says_so_and_ends_wi
             .json(&measured)
             .send()
     };
-    let mut other = locked(&service).await;
+    let other = flip_testing::locked(service.folder()).await;
     let response = post().await.unwrap();
     assert!(response.headers().contains_key("retry-after"));
     let refused = problem(response, 503).await;
@@ -79,7 +68,7 @@ async fn a_database_that_another_program_locks_is_a_503_that_says_so_and_ends_wi
     );
     until_health_is(&service, "flip.v1.Powders", ServingStatus::NotServing).await;
 
-    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    other.rollback().await.unwrap();
     until_ready_is(&service, 200).await;
     until_health_is(&service, "flip.v1.Powders", ServingStatus::Serving).await;
     assert_eq!(post().await.unwrap().status(), 201);
@@ -93,7 +82,7 @@ async fn a_latched_bench_is_named_and_only_what_needs_it_is_not_served() {
     for name in ["disk", "database", "folder", "lock", "bench"] {
         assert!(names.contains(&name) && ready["checks"][name]["ok"] == true, "{ready}");
     }
-    let pool = database(service.folder()).await;
+    let pool = flip_testing::pool(service.folder()).await;
     sqlx::query("INSERT INTO latch (at, reason) VALUES (1, 'the arm was pushed')")
         .execute(&pool)
         .await
@@ -111,6 +100,9 @@ async fn a_latched_bench_is_named_and_only_what_needs_it_is_not_served() {
 
 #[tokio::test]
 async fn a_data_folder_that_is_replaced_is_noticed_and_nothing_is_written_into_the_lost_file() {
+    if flip_testing::only_sqlite_has("a file") {
+        return;
+    }
     let service = Service::start().await;
     let token = service.token(Role::Operator).await;
     let database = service.folder().join("flip.db");

@@ -1,7 +1,7 @@
 //! Bench requests made before a stop, and simultaneous requests: checked when they are written, not
 //! before.
 
-use crate::bench::{another_program, clear, code, resume};
+use crate::bench::{clear, code, resume};
 use crate::harness::{calibrated, functions, mg, open, open_in, pour, until};
 use crate::vials::{asked, dead_client, laboratory, said, until_awaiting};
 use crate::weighing::{Gate, done};
@@ -97,8 +97,7 @@ async fn a_vial_that_was_said_to_be_in_before_a_stop_is_not_poured_into_after_it
     calibrated(&app, "sand").await;
     let id = asked(&app, "A").await;
     until_awaiting(&app, &id).await;
-    let other = another_program(folder.path()).await;
-    let holding = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let holding = flip_testing::locked(folder.path()).await;
     let mut ready = pin!(app.vial_ready(&id, said("A")));
     assert!(poll!(&mut ready).is_pending(), "it waits for the other program");
     app.stop_bench().await.unwrap();
@@ -123,8 +122,7 @@ async fn a_resume_that_was_asked_before_a_stop_does_not_undo_it_in_memory_or_in_
     let folder = tempfile::tempdir().unwrap();
     let app = open_in(folder.path(), functions()).await;
     app.stop_bench().await.unwrap();
-    let other = another_program(folder.path()).await;
-    let holding = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let holding = flip_testing::locked(folder.path()).await;
     let mut resumed = Box::pin(app.resume_bench(resume()));
     assert!(poll!(&mut resumed).is_pending());
     app.stop_bench().await.unwrap();
@@ -154,7 +152,7 @@ async fn a_stop_while_a_clear_is_under_way_wins() {
     app.resume_bench(resume()).await.unwrap();
 
     // While it waits for the database, before its arm moves.
-    let other = another_program(folder.path()).await;
+    let other = flip_testing::pool(folder.path()).await;
     latch(&other).await;
     let mut cleared = pin!(app.clear_bench(clear(true)));
     assert!(poll!(&mut cleared).is_pending());
@@ -167,7 +165,7 @@ async fn a_stop_while_a_clear_is_under_way_wins() {
 }
 
 /// Latches the bench in the store, without the knowledge of the process that serves it.
-async fn latch(other: &sqlx::SqlitePool) {
+async fn latch(other: &sqlx::AnyPool) {
     let sql =
         "INSERT INTO latch (at, reason, bench) VALUES (0, 'a dose was interrupted', 'emulated')";
     sqlx::query(sql).execute(other).await.unwrap();
@@ -177,7 +175,7 @@ async fn latch(other: &sqlx::SqlitePool) {
 async fn a_latch_that_the_store_alone_knows_is_cleared() {
     let (folder, app) = open(functions()).await;
     assert_eq!(code(app.clear_bench(clear(false)).await), "bench_not_latched");
-    latch(&another_program(folder.path()).await).await;
+    latch(&flip_testing::pool(folder.path()).await).await;
     assert_eq!(app.bench().await.unwrap().latch, None, "the lane has not heard of it");
     app.clear_bench(clear(false)).await.unwrap();
     assert_eq!(code(app.clear_bench(clear(false)).await), "bench_not_latched");
@@ -219,8 +217,7 @@ fn reservation(owner: &str) -> ReservationRequest {
 #[tokio::test(flavor = "multi_thread")]
 async fn of_two_who_reserve_at_once_one_has_the_bench() {
     let (folder, app) = open(functions()).await;
-    let other = another_program(folder.path()).await;
-    let holding = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let holding = flip_testing::locked(folder.path()).await;
     let (mut ada, mut bob) =
         (pin!(app.reserve_bench(reservation("Ada"))), pin!(app.reserve_bench(reservation("Bob"))));
     assert!(
@@ -274,6 +271,9 @@ async fn a_weighing_and_a_reservation_that_are_asked_at_once_are_not_both_taken(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_restored_folder_begins_none_of_its_planned_doses_before_a_person_resumes() {
+    if flip_testing::only_sqlite_has("copies of its file") {
+        return;
+    }
     let gate = Arc::new(Gate::default());
     let folder = tempfile::tempdir().unwrap();
     let [data, kept, back] = ["data", "kept", "back"].map(|name| folder.path().join(name));

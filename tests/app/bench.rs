@@ -7,9 +7,6 @@ use flip::app::{
     App, AuditAsked, ClearRequest, Error, PageQuery, ReservationRequest, ResumeRequest,
 };
 use flip_core::domain::weighing::{Outcome, WeighingState};
-use sqlx::SqlitePool;
-use sqlx::sqlite::SqliteConnectOptions;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -32,13 +29,6 @@ pub fn clear(resume: bool) -> ClearRequest {
         vial_ready: true,
         resume,
     }
-}
-
-/// Another program that holds the database's write lock.
-pub async fn another_program(folder: &Path) -> SqlitePool {
-    SqlitePool::connect_with(SqliteConnectOptions::new().filename(folder.join("flip.db")))
-        .await
-        .unwrap()
 }
 
 /// What people did to the bench, oldest first.
@@ -110,8 +100,7 @@ async fn a_stop_is_answered_from_memory_while_another_program_holds_the_database
     calibrated(&app, "sand").await;
     let moving = app.start_weighing(mg("sand", 5.0), "moving").await.unwrap().0.id;
     until("the dose moves", async || gate.pours.load(Ordering::SeqCst) == 1).await;
-    let other = another_program(folder.path()).await;
-    let holding = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let holding = flip_testing::locked(folder.path()).await;
     let stopping = tokio::time::timeout(std::time::Duration::from_secs(1), async {
         let weighing = app.stop_weighing(&moving).await.unwrap().0;
         (weighing, app.stop_bench().await.unwrap())

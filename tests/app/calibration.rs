@@ -1,7 +1,7 @@
 //! Calibrations: requested twice, resumed, cancelled, refused.
 
 use crate::harness::{
-    PATIENCE, calibrated, calibration_of, ended, functions, heap, open, open_in, until,
+    PATIENCE, calibrated, calibration_of, ended, functions, heap, open, open_in, storage, until,
 };
 use flip::app::{App, CalibrationMethod, CalibrationRequest};
 use flip::app::{
@@ -394,7 +394,7 @@ async fn a_heap_that_does_not_end_does_not_hold_up_the_end_of_the_service() {
     let ended = tokio::time::timeout(PATIENCE, app.shutdown()).await;
     gate.store(true, Ordering::SeqCst);
     ended.expect("nobody waits for the heap").unwrap();
-    let reader = App::open_to_read(folder.path()).await.unwrap();
+    let reader = App::open_to_read(storage(folder.path()).await).await.unwrap();
     let job = reader.job(&job.id).await.unwrap();
     assert_eq!((job.state, job.attempts), (JobState::Queued, 0), "a shutdown burns no attempt");
 }

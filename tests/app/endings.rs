@@ -1,6 +1,6 @@
 //! The end of a dose is kept until it is written down, whatever happens to the database.
 
-use crate::bench::{another_program, clear};
+use crate::bench::clear;
 use crate::harness::{ToyRig, calibrated, functions, mg, open_in, pour, until};
 use crate::weighing::done;
 use flip::app::{App, Functions, Weighing};
@@ -50,8 +50,7 @@ async fn an_ending_that_cannot_be_written_is_kept_and_written_when_it_can_be() {
     calibrated(&app, "sand").await;
     let (first, second) = two(&app).await;
     tokio::task::spawn_blocking(move || hear.recv().unwrap()).await.unwrap();
-    let other = another_program(folder.path()).await;
-    let holding = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let holding = flip_testing::locked(folder.path()).await;
     go.send(()).unwrap();
     // Longer than the store waits for a lock.
     until("it is told what is in the way", async || {
@@ -74,6 +73,9 @@ async fn an_ending_that_cannot_be_written_is_kept_and_written_when_it_can_be() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_ending_that_is_never_written_is_unknown_and_latched_at_the_next_start_and_no_process_is_said_to_have_died()
  {
+    if flip_testing::only_sqlite_has("a file") {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     let away = folder.path().join("away");

@@ -1,7 +1,7 @@
 //! One application per test, and the formulas it computes with.
 
 use flip::app::{
-    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Target,
+    App, CalibrationMethod, CalibrationRequest, Functions, Job, JobState, Options, Storage, Target,
     Tolerance, Topic, TrainingRequest, WeighingRequest,
 };
 use flip::jobs::train::Train;
@@ -171,9 +171,17 @@ pub async fn open(functions: Functions) -> (TempDir, App) {
     (folder, app)
 }
 
+/// Where the data folder's database is, on the database that tests run on.
+pub async fn storage(folder: &Path) -> Storage {
+    match flip_testing::database_url(folder).await {
+        Some(url) => Storage::on_server(&url, folder).unwrap(),
+        None => folder.into(),
+    }
+}
+
 /// A data folder, opened with workers.
 pub async fn open_in(folder: &Path, functions: Functions) -> App {
-    App::open(folder, Options { functions, ..Options::default() }).await.unwrap()
+    App::open(storage(folder).await, Options { functions, ..Options::default() }).await.unwrap()
 }
 
 /// A calibration of a powder to three sets.

@@ -1,11 +1,12 @@
 //! Investigations: what is available of one that has not ended, and one that is no longer wanted.
 
+use crate::harness::storage;
 use flip::app::{App, Error, InvestigationRequest, JobState, Options, PageQuery};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn one_that_waits_has_no_predictions_and_can_be_cancelled() {
     let folder = tempfile::tempdir().unwrap();
-    let app = App::open(folder.path(), Options::without_workers()).await.unwrap();
+    let app = App::open(storage(folder.path()).await, Options::without_workers()).await.unwrap();
     let (job, created) = app.start_investigation(InvestigationRequest::default()).await.unwrap();
     assert!(created);
     let waiting = app.investigation(&job.id).await.unwrap();

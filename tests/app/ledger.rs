@@ -3,8 +3,6 @@
 use crate::harness::{calibration_of, ended, functions, heap, open, until};
 use flip::app::{Functions, JobState, PageQuery, SERIES_LIMIT_MAX};
 use flip::jobs::heaps_on_cores;
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -42,9 +40,7 @@ async fn a_database_that_somebody_locks_for_a_while_costs_time_and_nothing_else(
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
     until("it runs", async || app.job(&job.id).await.unwrap().state == JobState::Running).await;
     // Longer than any of our connections waits: the current trial is not saved.
-    let path = SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
-    let mut intruder = path.connect().await.unwrap();
-    let lock = intruder.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let lock = flip_testing::locked(folder.path()).await;
     tokio::time::sleep(Duration::from_millis(6500)).await;
     lock.rollback().await.unwrap();
     let job = ended(&app, &job.id).await;

@@ -17,3 +17,4 @@ mod training;
 mod training_films;
 mod vials;
 mod weighing;
+mod workers;

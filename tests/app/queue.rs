@@ -1,10 +1,8 @@
 //! The order of jobs: places in the queue, time left, what a restart leaves, starting again.
 
-use crate::harness::{calibration_of, ended, functions, heap, open, until};
+use crate::harness::{calibration_of, ended, functions, heap, open, open_in, storage, until};
 use flip::app::{App, Error, Functions, JobState, JobsWanted, Options, PageQuery, TrainingRequest};
 use flip::jobs::heaps_on_cores;
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -125,15 +123,14 @@ async fn a_job_that_nothing_computes_waits_and_keeps_its_place() {
     drop(app);
 
     // What a process that was killed leaves: a row that says `running` under a lease that is over.
-    let path = SqliteConnectOptions::new().filename(folder.path().join("flip.db"));
-    let mut file = path.connect().await.unwrap();
-    sqlx::query("UPDATE job SET state = 'running', owner = 'gone', lease_until = 1 WHERE id = ?1 AND state = 'queued'")
+    let database = flip_testing::pool(folder.path()).await;
+    sqlx::query("UPDATE job SET state = 'running', owner = 'gone', lease_until = 1 WHERE id = $1 AND state = 'queued'")
         .bind(&first.id)
-        .execute(&mut file)
+        .execute(&database)
         .await
         .unwrap();
-    file.close().await.unwrap();
-    let app = App::open(folder.path(), Options::without_workers()).await.unwrap();
+    database.close().await;
+    let app = App::open(storage(folder.path()).await, Options::without_workers()).await.unwrap();
     let job = app.job(&first.id).await.unwrap();
     assert_eq!((job.state, job.place), (JobState::Queued, Some(1)), "{job:?}");
     assert!(job.progress.message.contains("waits"), "{job:?}");
@@ -146,9 +143,7 @@ async fn a_job_that_nothing_computes_waits_and_keeps_its_place() {
     app.shutdown().await.unwrap();
     drop(app);
 
-    let app = App::open(folder.path(), Options { functions: functions(), ..Options::default() })
-        .await
-        .unwrap();
+    let app = open_in(folder.path(), functions()).await;
     let (one, two) = (ended(&app, &first.id).await, ended(&app, &second.id).await);
     assert_eq!((one.state, two.state), (JobState::Succeeded, JobState::Succeeded));
     assert!(one.finished_at <= two.started_at, "first come, first served, after a restart too");

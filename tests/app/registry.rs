@@ -1,6 +1,6 @@
 //! Powders, measurements, tokens, and who may open what.
 
-use crate::harness::{functions, open};
+use crate::harness::{functions, open, storage};
 use flip::app::{
     App, Error, Flowability, Method, NewMeasurement, NewPowder, OpenError, Options, PageQuery, Role,
 };
@@ -130,10 +130,10 @@ async fn a_token_opens_what_its_role_may_and_nothing_else_does() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_in_use_is_refused_for_writing_and_open_for_reading() {
     let (folder, app) = open(functions()).await;
-    let second = App::open(folder.path(), Options::default()).await;
+    let second = App::open(storage(folder.path()).await, Options::default()).await;
     let Err(OpenError::Held(message)) = second else { panic!("opened twice") };
     assert!(message.contains("flip serve holds this database"), "{message}");
-    let reader = App::open_to_read(folder.path()).await.unwrap();
+    let reader = App::open_to_read(storage(folder.path()).await).await.unwrap();
     assert_eq!(reader.powders(PageQuery::default()).await.unwrap().items.len(), 5);
     let write = reader
         .create_powder(NewPowder {

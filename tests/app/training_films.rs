@@ -8,8 +8,6 @@ use flip_learn::train::environment::play;
 use flip_policy::{Rules, decode};
 use flip_sim::balance;
 use flip_sim::dispense::{self, Dispenser};
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -38,10 +36,9 @@ async fn filmed(app: &App, training: &str, episode: u32) -> Film {
 }
 
 async fn forget_networks(folder: &Path) {
-    let options = SqliteConnectOptions::new().filename(folder.join("flip.db"));
-    let mut database = options.connect().await.unwrap();
-    sqlx::query("DELETE FROM kept_policy").execute(&mut database).await.unwrap();
-    database.close().await.unwrap();
+    let database = flip_testing::pool(folder).await;
+    sqlx::query("DELETE FROM kept_policy").execute(&database).await.unwrap();
+    database.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -86,6 +86,11 @@ impl Archives {
         Self { folder }
     }
 
+    /// The folder.
+    pub(super) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// Whether there are any files.
     pub(super) fn any(&self) -> bool {
         fs::read_dir(&self.folder).is_ok_and(|mut found| found.next().is_some())

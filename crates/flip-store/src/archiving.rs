@@ -57,7 +57,7 @@ impl Store {
     /// there on; [`Error::File`], [`Error::Full`], [`Error::Locked`]: everything moved so far is in
     /// the files that the record names, the rest is where it was.
     pub async fn archive_audit(&self, before: Timestamp) -> Result<Archived> {
-        let _lock = ArchivingLock::beside(self.place.path())?;
+        let _lock = ArchivingLock::beside(self.archives.folder())?;
         let mut done = Archived { before: Some(before), ..Archived::default() };
         let (mut after, mut weighings) = (0, HashSet::new());
         loop {

@@ -41,9 +41,14 @@ pub enum Error {
     /// There is no database, but there are files that only a database can name.
     #[error(
         "{0} holds files but no database (flip.db is missing or empty): a wrong mount, or half of a restore? Put flip.db back (`flip restore` \
-         makes a whole folder of a backup), or name another --data-dir. Nothing was changed"
+         makes a whole folder of a backup), or name another --data-dir; if the database is on a server, name it with --database-url. Nothing was changed"
     )]
     Lost(PathBuf),
+    /// A folder for the files of a server's database has a database of its own.
+    #[error(
+        "{0} holds a database of its own (flip.db): name another --data-dir for the files of the one on the server, or leave --database-url out"
+    )]
+    Two(PathBuf),
     /// A copy would overwrite something.
     #[error("{0} is there already and not empty: name a folder that is not there yet")]
     Occupied(PathBuf),
@@ -55,6 +60,11 @@ pub enum Error {
         "the database was made by a newer FLIP (it has migration {0}, which this one does not know): use that version, or a backup from before it"
     )]
     Newer(i64),
+    /// A server's database that has not been brought to this program's schema.
+    #[error(
+        "the database was made by an older FLIP, or by none: start `flip serve` of this version on it first"
+    )]
+    Older,
     /// Another worker has the job, or it has ended.
     #[error("the job has been taken over or has ended")]
     Fenced,
@@ -121,6 +131,9 @@ impl From<sqlx::Error> for Error {
     fn from(error: sqlx::Error) -> Self {
         if matches!(error, sqlx::Error::PoolTimedOut) {
             return Self::Busy;
+        }
+        if let sqlx::Error::Tls(why) = &error {
+            return Self::Server(why.to_string());
         }
         if matches!(error, sqlx::Error::Io(_)) {
             return Self::Unreachable(error.to_string());

@@ -51,10 +51,10 @@ impl Store {
         // A database elsewhere would be created again under its name, or answer in place of the one
         // that is gone.
         let database =
-            if self.place.check().is_ok() { self.try_to_write().await } else { self.place.check() };
+            if self.is_in_place().is_ok() { self.try_to_write().await } else { self.is_in_place() };
         let lack_of_lock = self.lack_of_lock().await;
         // Checked last: if the folder has disappeared meanwhile, that is why the database fails.
-        let folder = self.place.check();
+        let folder = self.is_in_place();
         Health {
             disk: Check::of(self.lack_of_room()),
             database: Check::from_result(database),
@@ -85,7 +85,8 @@ impl Store {
             return Ok(());
         }
         let failed = self.failed_last();
-        let mut connection = connection_that_gives_up(self.place.path()).connect().await?;
+        let Some(place) = &self.place else { return Ok(()) };
+        let mut connection = connection_that_gives_up(place.path()).connect().await?;
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
         let _: i64 = sqlx::query_scalar("SELECT count(*) FROM (SELECT 1 FROM audit LIMIT 1)")
             .fetch_one(&mut *transaction)
@@ -106,7 +107,7 @@ impl Store {
     }
 
     fn lack_of_room(&self) -> Option<String> {
-        let folder = self.place.path().parent()?;
+        let folder = self.place.as_ref()?.path().parent()?;
         let free = match rustix::fs::statvfs(folder) {
             Ok(disk) => disk.f_bavail.saturating_mul(disk.f_frsize),
             Err(error) => {
@@ -149,7 +150,7 @@ mod tests {
         let mut store = testing::open(folder.path()).await.unwrap();
         assert_eq!(store.health().await.disk, Check { ok: true, why: None });
         // A file system without any room.
-        store.place = Place::of(Path::new("/proc/version")).unwrap();
+        store.place = Some(Place::of(Path::new("/proc/version")).unwrap());
         let told = store.health().await.disk;
         assert!(!told.ok && told.why.unwrap().starts_with("0 MiB are free on the disk of /proc"));
     }

@@ -81,13 +81,16 @@ impl Store {
         rows.iter().filter_map(known).map(|(kind, id)| Ok((kind, id?))).collect()
     }
 
-    /// Requeue running jobs, since nobody computes them. Sound only at startup: the lock on the
-    /// data folder proves that there is no other worker.
+    /// Requeue running jobs that nobody computes. Sound only at startup: the lock on the data folder
+    /// or the database proves that no other process serves it. Without a server there is no other
+    /// worker either; with one, there may be workers that serve nothing.
     pub async fn end_leases(&self) -> Result<()> {
         let mut tx = self.write().await?;
         let sql = "UPDATE job SET state = 'queued', message = 'waits to go on: the process ended', deaths = deaths + 1, \
-                   owner = NULL, lease_until = NULL WHERE state = 'running' RETURNING *";
-        for row in &sqlx::query(sql).fetch_all(&mut *tx.inner).await? {
+                   owner = NULL, lease_until = NULL WHERE state = 'running' AND NOT ($1 AND owner IN \
+                   (SELECT id FROM worker WHERE ended_at IS NULL AND NOT serves)) RETURNING *";
+        let rows = sqlx::query(sql).bind(self.is_postgres()).fetch_all(&mut *tx.inner).await?;
+        for row in &rows {
             tx.announce_job(row).await?;
         }
         tx.commit().await

@@ -16,6 +16,7 @@ pub mod audit_search;
 pub mod backup;
 pub mod bench;
 pub mod checklist;
+mod clock;
 pub mod counts;
 pub mod current_simulator;
 mod error;
@@ -47,6 +48,7 @@ mod sql;
 mod sqlite;
 mod stock;
 pub mod stops;
+mod storage;
 pub mod tokens;
 mod trail;
 pub mod trials;
@@ -56,12 +58,14 @@ pub mod weighing_search;
 pub mod weighings;
 pub mod who;
 pub mod withdrawals;
+pub mod workers;
 
+pub use clock::now;
 pub use error::{Error, Result};
+pub use storage::Storage;
 
 use archive::Archives;
 use artifacts::Artifacts;
-use flip_core::domain::timestamp::Timestamp;
 use lock::DataLock;
 use place::Place;
 use postgres::Server;
@@ -86,8 +90,9 @@ pub struct Store {
     newest_event: watch::Sender<i64>,
     /// The database on a server; `None` when it is the file in the data folder.
     server: Option<Arc<Server>>,
-    /// What shows that the data folder is where it was: SQLite's file, else the lock.
-    place: Place,
+    /// What shows that the data folder is where it was: SQLite's file, else the lock; `None` for a
+    /// database on a server beside the process that serves it.
+    place: Option<Place>,
     /// Error of the last write transaction, if it failed.
     unwritten: Arc<Mutex<Option<String>>>,
     /// Held until the last clone is gone.
@@ -105,7 +110,7 @@ impl Store {
     /// [`Error::Gone`].
     pub async fn write(&self) -> Result<Tx> {
         let writer = self.writer()?;
-        self.place.check()?;
+        self.is_in_place()?;
         let begun = self.begin(writer).await;
         let inner = begun.inspect_err(|error| self.note_written(Some(error)))?;
         Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
@@ -120,6 +125,11 @@ impl Store {
         let mut begun = writer.begin_with(postgres::BEGIN).await?;
         postgres::lock(&mut begun).await?;
         Ok(begun)
+    }
+
+    /// Whether other processes may compute jobs of this database.
+    pub fn is_shared(&self) -> bool {
+        self.is_postgres()
     }
 
     fn is_postgres(&self) -> bool {
@@ -146,7 +156,7 @@ impl Store {
     /// # Errors
     /// [`Error::Gone`]
     pub fn is_in_place(&self) -> Result<()> {
-        self.place.check()
+        self.place.as_ref().map_or(Ok(()), Place::check)
     }
 
     /// Artifacts: checkpoints and traces.
@@ -193,7 +203,7 @@ impl Tx {
     /// # Errors
     /// [`Error::Database`], [`Error::Gone`]: nothing was written.
     pub async fn commit(self) -> Result<()> {
-        self.store.place.check()?;
+        self.store.is_in_place()?;
         let committed = self.inner.commit().await.map_err(Error::from);
         self.store.note_written(committed.as_ref().err());
         committed?;
@@ -207,13 +217,6 @@ impl Tx {
         }
         Ok(())
     }
-}
-
-/// Current wall-clock time.
-pub fn now() -> Timestamp {
-    let since_1970 =
-        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-    Timestamp::from_unix_ms(since_1970.as_millis() as i64)
 }
 
 /// A new id: 48 bits of time, then random bits, so that ids sort by age.

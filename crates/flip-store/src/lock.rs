@@ -68,12 +68,12 @@ pub(super) struct ArchivingLock {
 }
 
 impl ArchivingLock {
-    /// Take the archiving lock in the folder of this database, without waiting.
+    /// Take the lock beside the folder of the archives, without waiting.
     ///
     /// # Errors
     /// [`Error::Archiving`] while another process has it; [`Error::File`].
-    pub(super) fn beside(database: &Path) -> Result<Self> {
-        let path = database.with_file_name("audit.lock");
+    pub(super) fn beside(archives: &Path) -> Result<Self> {
+        let path = archives.with_extension("lock");
         let mut options = OpenOptions::new();
         let opened = options.create(true).truncate(false).write(true).mode(0o600).open(&path);
         let file = opened.map_err(|source| Error::File { path, source })?;

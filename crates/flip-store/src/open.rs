@@ -2,14 +2,17 @@
 
 use super::archive::{self, Archives};
 use super::artifacts::Artifacts;
+use super::clock;
 use super::events::NEWEST;
 use super::lock::DataLock;
 use super::place::Place;
 use super::postgres::{self, Server};
 use super::sqlite::{self, DATABASE};
-use super::{Result, Store, sound};
+use super::storage::Storage;
+use super::{Error, Result, Store, sound};
 use sqlx::AnyPool;
-use sqlx::any::AnyPoolOptions;
+use sqlx::any::{AnyConnectOptions, AnyPoolOptions};
+use sqlx::postgres::PgConnection;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,15 +27,46 @@ const READERS: u32 = 4;
 /// Number of read connections for long answers only.
 const LONG_READERS: u32 = 2;
 
+/// What the one process that serves a database on a server holds.
+struct Held {
+    place: Place,
+    lock: Arc<DataLock>,
+    /// Its lock in the database.
+    alone: PgConnection,
+}
+
 impl Store {
-    /// Open a data folder for reading and writing; create, migrate and seed it when needed.
+    /// Open for reading and writing; create, migrate and seed what is stored when needed. One
+    /// process at a time.
     ///
     /// # Errors
-    /// [`Error::Held`] while another process has it; [`Error::Lost`], [`Error::Damaged`],
-    /// [`Error::Newer`]: nothing was changed; [`Error::Old`], [`Error::Database`], [`Error::File`].
-    pub async fn open(data_dir: &Path) -> Result<Self> {
-        sound::make_folder(data_dir)?;
-        let lock = DataLock::take(data_dir)?;
+    /// [`Error::Held`] while another process has the folder or serves the database; [`Error::Lost`],
+    /// [`Error::Damaged`], [`Error::Newer`]: nothing was changed; [`Error::Old`], [`Error::Server`],
+    /// [`Error::Unreachable`], [`Error::Database`], [`Error::File`].
+    pub async fn open(storage: impl Into<Storage>) -> Result<Self> {
+        let storage = storage.into();
+        let folder = storage.folder();
+        sound::make_folder(folder)?;
+        let lock = DataLock::take(folder)?;
+        let store = match storage.server() {
+            None => Self::open_file(folder, lock).await?,
+            Some(address) => {
+                if folder.join(DATABASE).exists() {
+                    return Err(Error::Two(folder.to_owned()));
+                }
+                let alone = postgres::prepare(address).await?;
+                let place = Place::of(lock.path())?;
+                let held = Held { place, lock: Arc::new(lock), alone };
+                Self::connect(&storage, address, true, Some(held)).await?
+            }
+        };
+        store.seed_published_powders().await?;
+        store.take_stock().await?;
+        store.sweep_artifacts().await?;
+        Ok(store)
+    }
+
+    async fn open_file(data_dir: &Path, lock: DataLock) -> Result<Self> {
         let database = data_dir.join(DATABASE);
         sound::prepare(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))?;
         let file = sqlite::prepared(data_dir).await?;
@@ -43,61 +77,67 @@ impl Store {
         let writer = sqlite::writer(data_dir).await?;
         // Not the last one: that would move the write-ahead log into the database.
         file.close().await;
-        let store = Self::assemble(data_dir, Some(writer), Some(Arc::new(lock)), None).await?;
-        store.begin_work().await
+        Self::assemble(data_dir, Some(writer), Some(Arc::new(lock)), None).await
     }
 
-    /// Open a database on a server of PostgreSQL for reading and writing, at an address like
-    /// `postgres://user@host/flip`; migrate and seed it when needed. Files are kept in the data
-    /// folder, which must not be another process's.
-    ///
-    /// # Errors
-    /// [`Error::Server`] if it cannot be used, [`Error::Unreachable`]; [`Error::Held`] while another
-    /// process has the folder or serves the database; [`Error::Newer`], [`Error::Database`], [`Error::File`].
-    pub async fn open_on(database_url: &str, data_dir: &Path) -> Result<Self> {
-        sound::make_folder(data_dir)?;
-        let lock = DataLock::take(data_dir)?;
-        let address = postgres::address(database_url)?;
-        let alone = postgres::prepare(database_url).await?;
-        let writer = postgres::writer(address.clone()).await?;
-        let reader = postgres::readers(address.clone(), connections(READERS)).await?;
-        let apart = postgres::readers(address.clone(), connections(1)).await?;
-        let long = postgres::readers(address.clone(), connections(LONG_READERS)).await?;
+    /// Connect to a database on a server that has this program's schema.
+    async fn connect(
+        storage: &Storage,
+        address: &AnyConnectOptions,
+        writes: bool,
+        held: Option<Held>,
+    ) -> Result<Self> {
+        let folder = storage.folder();
+        let writer = if writes { Some(postgres::writer(address.clone()).await?) } else { None };
+        let pool = async |max| postgres::readers(address.clone(), connections(max)).await;
+        let (reader, apart, long) =
+            (pool(READERS).await?, pool(1).await?, pool(LONG_READERS).await?);
+        clock::set(&apart).await?;
         let newest_event = watch::Sender::new(newest_event(&reader).await?);
-        let server = Server::new(address, alone, newest_event.clone(), apart.clone());
-        let store = Self {
+        let (place, lock, alone) = match held {
+            Some(Held { place, lock, alone }) => (Some(place), Some(lock), Some(alone)),
+            None => (None, None, None),
+        };
+        let server = Server::new(address.clone(), alone, newest_event.clone(), apart.clone());
+        Ok(Self {
             reader,
             apart,
             long,
-            writer: Some(writer),
-            artifacts: artifacts(data_dir),
-            archives: archives(data_dir),
+            writer,
+            artifacts: artifacts(folder),
+            archives: archives(folder),
             newest_event,
             server: Some(Arc::new(server)),
-            place: Place::of(lock.path())?,
+            place,
             unwritten: Arc::default(),
-            lock: Some(Arc::new(lock)),
+            lock,
             _copied: None,
-        };
-        store.begin_work().await
+        })
     }
 
-    /// What every start does.
-    async fn begin_work(self) -> Result<Self> {
-        self.seed_published_powders().await?;
-        self.take_stock().await?;
-        self.sweep_artifacts().await?;
-        Ok(self)
-    }
-
-    /// Open an existing data folder read-only, even while another process writes.
-    ///
-    /// The database of an older FLIP is left as it is, and a migrated copy of it, as of this
-    /// moment, is read instead; the copy is removed with the last clone of the store.
+    /// As [`Self::open`], of a database at this address.
     ///
     /// # Errors
-    /// [`Error::Database`] when there is none; [`Error::Newer`].
-    pub async fn open_to_read(data_dir: &Path) -> Result<Self> {
+    /// Those of [`Self::open`].
+    pub async fn open_on(database_url: &str, folder: &Path) -> Result<Self> {
+        Self::open(Storage::on_server(database_url, folder)?).await
+    }
+
+    /// Open what is there read-only, even while another process writes.
+    ///
+    /// A file of an older FLIP is left as it is, and a migrated copy of it, as of this moment, is
+    /// read instead; the copy is removed with the last clone of the store.
+    ///
+    /// # Errors
+    /// [`Error::Database`] when there is none; [`Error::Newer`]; [`Error::Older`] and
+    /// [`Error::Unreachable`] of a server.
+    pub async fn open_to_read(storage: impl Into<Storage>) -> Result<Self> {
+        let storage = storage.into();
+        if let Some(address) = storage.server() {
+            postgres::check_schema(address).await?;
+            return Self::connect(&storage, address, false, None).await;
+        }
+        let data_dir = storage.folder();
         let database = sqlite::to_read(data_dir).await?;
         sound::check_version(&database, &sqlite::migrations()).await?;
         let copied = match sound::is_older(&database, &sqlite::migrations()).await? {
@@ -109,12 +149,20 @@ impl Store {
     }
 
     /// As [`Self::open_to_read`], after the checks made at every startup; `None` if there is no
-    /// database yet.
+    /// database yet, or on a server none of this schema.
     ///
     /// # Errors
     /// Those of a startup: [`Error::Lost`], [`Error::Damaged`], [`Error::Newer`]; [`Error::File`] of
     /// the temporary folder.
-    pub async fn examine(data_dir: &Path) -> Result<Option<Self>> {
+    pub async fn examine(storage: impl Into<Storage>) -> Result<Option<Self>> {
+        let storage = storage.into();
+        if let Some(address) = storage.server() {
+            return match postgres::has_schema(address).await? {
+                true => Ok(Some(Self::connect(&storage, address, false, None).await?)),
+                false => Ok(None),
+            };
+        }
+        let data_dir = storage.folder();
         let database = data_dir.join(DATABASE);
         if !sound::is_there(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))? {
             return Ok(None);
@@ -123,12 +171,18 @@ impl Store {
         Ok(Some(Self::open_to_read(data_dir).await?))
     }
 
-    /// Open an existing data folder alongside the process that holds it: for short transactions
-    /// that need no worker.
+    /// Open what is there alongside the process that holds it: for short transactions that need no
+    /// worker.
     ///
     /// # Errors
-    /// [`Error::Database`] when there is none.
-    pub async fn open_beside(data_dir: &Path) -> Result<Self> {
+    /// [`Error::Database`] when there is none; those of [`Self::open_to_read`] of a server.
+    pub async fn open_beside(storage: impl Into<Storage>) -> Result<Self> {
+        let storage = storage.into();
+        if let Some(address) = storage.server() {
+            postgres::check_schema(address).await?;
+            return Self::connect(&storage, address, true, None).await;
+        }
+        let data_dir = storage.folder();
         let file = sqlite::prepared(data_dir).await?;
         sound::check_version(&file, &sqlite::migrations()).await?;
         let writer = sqlite::writer(data_dir).await?;
@@ -156,7 +210,7 @@ impl Store {
             archives: archives(data_dir),
             newest_event,
             server: None,
-            place: Place::of(&holds_database.join(DATABASE))?,
+            place: Some(Place::of(&holds_database.join(DATABASE))?),
             unwritten: Arc::default(),
             lock,
             _copied: copied.map(Arc::new),
@@ -185,7 +239,6 @@ pub(super) fn archives(data_dir: &Path) -> Archives {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Error;
     use crate::testing;
     use sqlx::Row;
 
@@ -241,20 +294,40 @@ mod tests {
 
     #[tokio::test]
     async fn opening_again_changes_nothing_and_reading_needs_no_lock() {
-        if testing::only_sqlite_has("a file") {
-            return;
-        }
         let folder = tempfile::tempdir().unwrap();
-        Store::open(folder.path()).await.unwrap().close().await;
-        let store = Store::open(folder.path()).await.unwrap();
-        assert!(matches!(Store::open(folder.path()).await, Err(Error::Held(_))));
-        let reader = Store::open_to_read(folder.path()).await.unwrap();
+        let storage = testing::storage(folder.path()).await;
+        Store::open(&storage).await.unwrap().close().await;
+        let store = Store::open(&storage).await.unwrap();
+        assert!(matches!(Store::open(&storage).await, Err(Error::Held(_))));
+        let reader = Store::open_to_read(&storage).await.unwrap();
         let count: i64 = sqlx::query_scalar("SELECT count(*) FROM measurement")
             .fetch_one(&reader.reader)
             .await
             .unwrap();
         assert_eq!(count, 10);
         assert!(matches!(reader.write().await, Err(Error::ReadOnly)));
-        drop(store);
+        assert!(Store::examine(&storage).await.unwrap().is_some());
+        let beside = Store::open_beside(&storage).await.unwrap();
+        let mut tx = beside.write().await.unwrap();
+        tx.audit_person(None, "looked", crate::now()).await.unwrap();
+        tx.commit().await.unwrap();
+        assert_eq!(store.verify_audit(None).await.unwrap().records, 3);
+    }
+
+    #[tokio::test]
+    async fn a_database_that_nobody_has_served_is_not_opened_beside() {
+        let folder = tempfile::tempdir().unwrap();
+        let storage = testing::storage(folder.path()).await;
+        assert!(Store::examine(&storage).await.unwrap().is_none());
+        let refused =
+            [Store::open_to_read(&storage).await.err(), Store::open_beside(&storage).await.err()];
+        for refused in refused {
+            let refused = refused.unwrap();
+            assert_eq!(matches!(refused, Error::Older), testing::on_postgres(), "{refused}");
+        }
+        // Nor do two databases share a folder.
+        Store::open(folder.path()).await.unwrap().close().await;
+        let refused = Store::open(&storage).await.err();
+        assert_eq!(matches!(refused, Some(Error::Two(_))), testing::on_postgres(), "{refused:?}");
     }
 }

@@ -7,7 +7,7 @@ use sqlx::any::{AnyConnectOptions, AnyPoolOptions};
 use sqlx::migrate::Migrator;
 use sqlx::postgres::{PgConnection, PgListener};
 use sqlx::{AnyConnection, AnyPool, Connection, Executor, PgPool};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::{Mutex, watch};
 use tokio::task::AbortHandle;
 
@@ -17,6 +17,9 @@ const VERSION_MIN: i64 = 15;
 const CHANNEL: &str = "flip_event";
 /// How often events are looked for all the same: a lost connection tells nothing.
 const POLL: Duration = Duration::from_secs(1);
+
+/// How often clocks are compared.
+const COMPARE: Duration = Duration::from_secs(60);
 
 /// How a transaction that writes begins; [`lock`] follows.
 pub(super) const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED";
@@ -65,7 +68,7 @@ impl Server {
     /// Follow the events of a database that is [`prepare`]d, also those that other processes write.
     pub fn new(
         options: AnyConnectOptions,
-        alone: PgConnection,
+        alone: Option<PgConnection>,
         newest: watch::Sender<i64>,
         reader: AnyPool,
     ) -> Self {
@@ -78,7 +81,7 @@ impl Server {
                 tokio::time::sleep(POLL).await;
             }
         });
-        let alone = Mutex::new(Some(alone));
+        let alone = Mutex::new(alone);
         Self { options, following: following.abort_handle(), alone }
     }
 
@@ -126,7 +129,12 @@ impl Server {
 async fn follow(url: &str, newest: &watch::Sender<i64>, reader: &AnyPool) -> sqlx::Result<()> {
     let mut listener = PgListener::connect(url).await?;
     listener.listen(CHANNEL).await?;
+    let mut compared = Instant::now();
     loop {
+        if compared.elapsed() > COMPARE {
+            super::clock::set(reader).await?;
+            compared = Instant::now();
+        }
         // What was written before listening began, or while a connection was lost.
         let seq: i64 = sqlx::query_scalar(super::events::NEWEST).fetch_one(reader).await?;
         super::events::tell(newest, seq);
@@ -154,18 +162,45 @@ pub(super) fn address(url: &str) -> Result<AnyConnectOptions> {
 /// # Errors
 /// [`Error::Held`], [`Error::Server`], [`Error::Newer`], [`Error::Unreachable`],
 /// [`Error::Database`].
-pub(super) async fn prepare(url: &str) -> Result<PgConnection> {
+pub(super) async fn prepare(address: &AnyConnectOptions) -> Result<PgConnection> {
+    let url = address.database_url.as_str();
     let mut connection = PgConnection::connect(url).await?;
     check_server(&mut connection).await?;
     serve_alone(&mut connection).await?;
     let known = migrations();
-    if let Some(newer) = newest_unknown(&mut connection, &known).await? {
+    if let Some(newer) = first_unknown(&applied(&mut connection).await?, &known) {
         return Err(Error::Newer(newer));
     }
     let migrating = PgPool::connect(url).await?;
     known.run(&migrating).await.map_err(sqlx::Error::from)?;
     migrating.close().await;
     Ok(connection)
+}
+
+/// Check that a database has exactly this program's schema.
+///
+/// # Errors
+/// [`Error::Server`], [`Error::Newer`], [`Error::Older`], [`Error::Unreachable`],
+/// [`Error::Database`].
+pub(super) async fn check_schema(address: &AnyConnectOptions) -> Result<()> {
+    if has_schema(address).await? { Ok(()) } else { Err(Error::Older) }
+}
+
+/// Check the server; whether its database has this program's schema, `false` if an older one or
+/// none.
+///
+/// # Errors
+/// [`Error::Server`], [`Error::Newer`], [`Error::Unreachable`], [`Error::Database`].
+pub(super) async fn has_schema(address: &AnyConnectOptions) -> Result<bool> {
+    let mut connection = PgConnection::connect(address.database_url.as_str()).await?;
+    check_server(&mut connection).await?;
+    let known = migrations();
+    let applied = applied(&mut connection).await?;
+    connection.close().await?;
+    if let Some(newer) = first_unknown(&applied, &known) {
+        return Err(Error::Newer(newer));
+    }
+    Ok(known.iter().all(|migration| applied.contains(&migration.version)))
 }
 
 /// What a process repairs when it starts (leases, interrupted doses) is sound only if it is alone.
@@ -204,16 +239,20 @@ async fn check_server(connection: &mut PgConnection) -> Result<()> {
     Ok(())
 }
 
-/// The first migration of the database that this program does not know.
-async fn newest_unknown(connection: &mut PgConnection, known: &Migrator) -> Result<Option<i64>> {
+/// The migrations that a database has seen.
+async fn applied(connection: &mut PgConnection) -> Result<Vec<i64>> {
     let table = "SELECT to_regclass('_sqlx_migrations') IS NOT NULL";
     if !sqlx::query_scalar(table).fetch_one(&mut *connection).await? {
-        return Ok(None);
+        return Ok(Vec::new());
     }
     let versions = "SELECT version FROM _sqlx_migrations ORDER BY version";
-    let versions: Vec<i64> = sqlx::query_scalar(versions).fetch_all(connection).await?;
-    let unknown = |version: &i64| !known.iter().any(|migration| migration.version == *version);
-    Ok(versions.into_iter().find(unknown))
+    Ok(sqlx::query_scalar(versions).fetch_all(connection).await?)
+}
+
+/// The first of these migrations that this program does not know.
+fn first_unknown(applied: &[i64], known: &Migrator) -> Option<i64> {
+    let unknown = |version: &&i64| !known.iter().any(|migration| migration.version == **version);
+    applied.iter().find(unknown).copied()
 }
 
 /// FLIP's migrations of PostgreSQL.

@@ -30,6 +30,14 @@ impl jobs_server::Jobs for Service {
         Ok(Response::new(ListJobTimesResponse { items: all(self.app.job_times().await?) }))
     }
 
+    async fn list_workers(
+        &self,
+        request: Request<ListWorkersRequest>,
+    ) -> Result<Response<ListWorkersResponse>, Status> {
+        read(request)?;
+        Ok(Response::new(ListWorkersResponse { items: all(self.app.workers().await?) }))
+    }
+
     async fn get_job(&self, request: Request<GetJobRequest>) -> Result<Response<Job>, Status> {
         let found = self.app.job(&read(request)?.id).await?;
         Ok(Response::new(self.app.labelled(found).await?.into()))
@@ -66,6 +74,23 @@ impl From<app::JobTimes> for JobTimes {
         let app::JobTimes { sort, n, lower_s, median_s, upper_s } = it;
         let kind = JobKind::from(sort.kind).into();
         Self { kind, method: sort.method, n, lower_s, median_s, upper_s }
+    }
+}
+
+impl From<app::Worker> for Worker {
+    fn from(it: app::Worker) -> Self {
+        Self {
+            id: it.id,
+            name: it.name,
+            version: it.version,
+            kinds: it.kinds.into_iter().map(|kind| JobKind::from(kind).into()).collect(),
+            threads: it.threads,
+            serves: it.serves,
+            started_at: at(it.started_at),
+            heard_at: at(it.heard_at),
+            ended_at: it.ended_at.and_then(at),
+            jobs: it.jobs,
+        }
     }
 }
 

@@ -8,7 +8,9 @@ use super::started;
 use super::wait::{WaitParams, waited};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
-use crate::api::wire::{ArchivedItems, Job, JobKind, JobState, JobTimes, Labelled, Page, Request};
+use crate::api::wire::{
+    ArchivedItems, Job, JobKind, JobState, JobTimes, Labelled, Page, Request, Worker,
+};
 use crate::app::{App, JobsWanted, LabelWanted, Topic};
 use axum::Json;
 use axum::extract::{OriginalUri, State};
@@ -71,6 +73,16 @@ pub async fn list_job_times(
     State(app): State<App>,
 ) -> Result<Json<Vec<JobTimes>>, Problem> {
     Ok(answer(app.job_times().await?))
+}
+
+/// The processes that compute jobs.
+///
+/// Those of the last week, the one that started last first. One without `ended_at` that has not been
+/// heard of for half a minute was lost: its jobs go on elsewhere.
+#[utoipa::path(get, path = "/v1/workers", tag = "jobs",
+    responses((status = 200, description = "The processes", body = Vec<Worker>)))]
+pub async fn list_workers(_: Viewer, State(app): State<App>) -> Result<Json<Vec<Worker>>, Problem> {
+    Ok(answer(app.workers().await?))
 }
 
 /// One job.

@@ -128,6 +128,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(audit::export_audit_csv))
         .routes(routes!(jobs::list_jobs))
         .routes(routes!(jobs::list_job_times))
+        .routes(routes!(jobs::list_workers))
         .routes(routes!(jobs::get_job))
         .routes(routes!(jobs::cancel_job))
         .routes(routes!(jobs::start_job_again))

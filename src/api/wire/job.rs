@@ -82,6 +82,36 @@ impl Answer for crate::app::JobTimes {
     }
 }
 
+/// A process that computes jobs.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Worker {
+    /// Its id, new at each start.
+    pub id: String,
+    /// Its name: that of its machine, unless it was given one.
+    pub name: String,
+    /// The version of FLIP.
+    pub version: String,
+    /// The kinds of jobs that it takes.
+    pub kinds: Vec<JobKind>,
+    /// On how many threads it computes.
+    pub threads: u32,
+    /// Whether it answers requests, too.
+    pub serves: bool,
+    /// When it started.
+    pub started_at: Timestamp,
+    /// When it was last heard of.
+    pub heard_at: Timestamp,
+    /// When it ended in order; absent while it works, and if it was lost.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ended_at: Option<Timestamp>,
+    /// Ids of the jobs that it computes.
+    pub jobs: Vec<String>,
+}
+
+answer! { flip_store::workers::Worker => Worker {
+    id, name, version, kinds, threads, serves, started_at, heard_at, ended_at, jobs,
+} }
+
 /// What a job is about.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Subject {

@@ -6,7 +6,7 @@ use crate::app::{
     Calibration, CalibrationRequest, Comparison, Error, Evaluation, EvaluationRequest, Film,
     FilmRequest, Investigation, InvestigationRequest, Job, JobTimes, JobsWanted, LabelWanted, Page,
     PageQuery, Posterior, ReposeMeasurement, ReposeRequest, Result, Row, Training, TrainingRequest,
-    predictions_of_csv,
+    Worker, predictions_of_csv,
 };
 use serde::Serialize;
 
@@ -37,6 +37,13 @@ impl Lab {
         match self {
             Self::Here(app) => app.job_times().await,
             Self::There(server) => server.get(&["jobs", "times"]).await,
+        }
+    }
+
+    pub(in super::super) async fn workers(&self) -> Result<Vec<Worker>> {
+        match self {
+            Self::Here(app) => app.workers().await,
+            Self::There(server) => server.get(&["workers"]).await,
         }
     }
 

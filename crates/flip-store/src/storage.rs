@@ -1,0 +1,142 @@
+//! Where everything is stored.
+
+use super::{Result, postgres};
+use sqlx::any::AnyConnectOptions;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Where everything is stored: a folder for files, and a database in it or on a server of
+/// PostgreSQL.
+#[derive(Clone)]
+pub struct Storage {
+    folder: PathBuf,
+    server: Option<AnyConnectOptions>,
+}
+
+impl Storage {
+    /// All in one folder.
+    pub fn in_folder(folder: impl Into<PathBuf>) -> Self {
+        Self { folder: folder.into(), server: None }
+    }
+
+    /// A database at an address like `postgres://user@host/flip`; files in the folder.
+    ///
+    /// # Errors
+    /// [`Error::Server`](super::Error::Server) if this is no such address.
+    pub fn on_server(database_url: &str, folder: impl Into<PathBuf>) -> Result<Self> {
+        Ok(Self { folder: folder.into(), server: Some(postgres::address(database_url)?) })
+    }
+
+    /// The folder for files.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Whether the database is on a server.
+    pub fn is_on_server(&self) -> bool {
+        self.server.is_some()
+    }
+
+    /// Whether the database is on a server and has this program's schema.
+    ///
+    /// # Errors
+    /// [`Error::Server`](super::Error::Server), [`Error::Newer`](super::Error::Newer),
+    /// [`Error::Unreachable`](super::Error::Unreachable).
+    pub async fn is_served_ready(&self) -> Result<bool> {
+        match &self.server {
+            Some(address) => postgres::has_schema(address).await,
+            None => Ok(false),
+        }
+    }
+
+    pub(super) fn server(&self) -> Option<&AnyConnectOptions> {
+        self.server.as_ref()
+    }
+}
+
+impl From<&Path> for Storage {
+    fn from(folder: &Path) -> Self {
+        Self::in_folder(folder)
+    }
+}
+
+impl From<&PathBuf> for Storage {
+    fn from(folder: &PathBuf) -> Self {
+        Self::in_folder(folder)
+    }
+}
+
+impl From<&Storage> for Storage {
+    fn from(storage: &Storage) -> Self {
+        storage.clone()
+    }
+}
+
+impl fmt::Display for Storage {
+    /// The folder, or the address of the database without its options, which may hold a password.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Some(server) = &self.server else { return self.folder.display().fmt(f) };
+        let mut url = server.database_url.clone();
+        // Of an address that can have none.
+        let _ = url.set_password(None);
+        url.set_query(None);
+        url.fmt(f)
+    }
+}
+
+impl fmt::Debug for Storage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Storage({self})")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Error, Store};
+    use flip_testing::Cluster;
+
+    #[test]
+    fn a_password_is_never_shown_and_another_database_is_refused() {
+        let url = "postgres://flip:secret@db.lab:5433/flip?password=secret&sslmode=require";
+        let storage = Storage::on_server(url, "files").unwrap();
+        for shown in [storage.to_string(), format!("{storage:?}")] {
+            assert!(shown.contains("postgres://flip@db.lab:5433/flip"), "{shown}");
+            assert!(!shown.contains("secret"), "{shown}");
+        }
+        for none in ["mysql://root@localhost/x", "flip.db", "postgres//x", ""] {
+            let refused = Storage::on_server(none, "files");
+            assert!(matches!(refused, Err(Error::Server(_))), "{none}: {refused:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_connection_is_encrypted_and_a_server_with_another_certificate_is_refused() {
+        let made = || rcgen::generate_simple_self_signed(vec!["localhost".to_owned()]).unwrap();
+        let (ours, other) = (made(), made());
+        let key = ours.signing_key.serialize_pem();
+        let started = Cluster::start_encrypted(&ours.cert.pem(), &key);
+        let (_cluster, port) = match started {
+            Ok(started) => started,
+            Err(why) => return println!("left out: {why}"),
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let on = async |name: &str, certificate: &str| {
+            let file = folder.path().join(name);
+            std::fs::write(&file, certificate).unwrap();
+            let url = format!(
+                "postgres://flip@localhost:{port}/postgres?sslmode=verify-full&sslrootcert={}",
+                file.display()
+            );
+            let storage = Storage::on_server(&url, folder.path().join("data")).unwrap();
+            Store::open(storage).await
+        };
+        let refused = on("other.pem", &other.cert.pem()).await.err();
+        assert!(matches!(refused, Some(Error::Server(_))), "{refused:?}");
+        let store = on("ours.pem", &ours.cert.pem()).await.unwrap();
+        let sql = "SELECT ssl FROM pg_stat_ssl WHERE pid = pg_backend_pid()";
+        let encrypted: bool =
+            sqlx::query_scalar(sql).fetch_one(store.writer().unwrap()).await.unwrap();
+        assert!(encrypted);
+    }
+}
