@@ -27,6 +27,10 @@ const TO_WRITE: &str = "SET lock_timeout = '5s'; \
 const TO_READ: &str =
     "SET default_transaction_read_only = on; SET default_transaction_isolation = 'repeatable read'";
 
+/// What a transaction sets that lasts as long as a copy of everything, or waits for files.
+pub(super) const PATIENT: &str =
+    "SET LOCAL statement_timeout = 0; SET LOCAL idle_in_transaction_session_timeout = 0";
+
 /// A database on a server. Following its events ends with it.
 pub(super) struct Server {
     options: AnyConnectOptions,
@@ -168,18 +172,44 @@ pub(super) async fn prepare(url: &str) -> Result<PgConnection> {
     Ok(connection)
 }
 
+/// Check the server, and that its database has exactly this program's schema, without changing it.
+///
+/// # Errors
+/// [`Error::Server`], [`Error::Newer`], [`Error::Unstarted`], [`Error::Unreachable`],
+/// [`Error::Database`].
+pub(super) async fn checked(url: &str) -> Result<PgConnection> {
+    let mut connection = PgConnection::connect(url).await?;
+    check_server(&mut connection).await?;
+    let known = migrations();
+    if let Some(newer) = newest_unknown(&mut connection, &known).await? {
+        return Err(Error::Newer(newer));
+    }
+    let table = "SELECT to_regclass('_sqlx_migrations') IS NOT NULL";
+    let has_any: bool = sqlx::query_scalar(table).fetch_one(&mut connection).await?;
+    let applied = "SELECT count(*) FROM _sqlx_migrations WHERE success";
+    let applied: i64 = match has_any {
+        true => sqlx::query_scalar(applied).fetch_one(&mut connection).await?,
+        false => 0,
+    };
+    if applied < known.iter().count() as i64 {
+        return Err(Error::Unstarted(name(&mut connection).await?));
+    }
+    Ok(connection)
+}
+
+async fn name(connection: &mut PgConnection) -> Result<String> {
+    let name = sqlx::query_scalar("SELECT current_database()::text");
+    Ok(name.fetch_one(connection).await?)
+}
+
 /// What a process repairs when it starts (leases, interrupted doses) is sound only if it is alone.
-async fn serve_alone(connection: &mut PgConnection) -> Result<()> {
+pub(super) async fn serve_alone(connection: &mut PgConnection) -> Result<()> {
     // The server may not have noticed yet that the process before has ended.
     connection.execute("SET lock_timeout = '2s'").await?;
     // The letters "FLIQ".
     let locked = connection.execute("SELECT pg_advisory_lock(1179404625)").await;
     match locked.map_err(Error::from) {
-        Err(Error::Locked) => {
-            let name = sqlx::query_scalar("SELECT current_database()::text");
-            let name: String = name.fetch_one(connection).await?;
-            Err(Error::Held(name.into()))
-        }
+        Err(Error::Locked) => Err(Error::Held(name(connection).await?.into())),
         locked => locked.map(drop),
     }
 }
