@@ -401,6 +401,25 @@ async fn what_the_other_database_cannot_store_is_named() {
 }
 
 #[tokio::test]
+async fn what_comes_back_otherwise_than_it_was_written_is_not_kept() {
+    let Some(places) = Places::new() else { return };
+    let (first, second) = (places.folder("first"), places.server("second").await);
+    open(&first).await.close().await;
+    let Side::Server { database_url, .. } = &second else { unreachable!("a server") };
+    crate::postgres::prepare(database_url).await.unwrap().close().await.unwrap();
+    let mut server = url_of(&second).await;
+    let change = "CREATE FUNCTION change() RETURNS TRIGGER LANGUAGE plpgsql AS \
+                  $$ BEGIN NEW.name = NEW.name || ' '; RETURN NEW; END $$; \
+                  CREATE TRIGGER change BEFORE INSERT ON powder FOR EACH ROW EXECUTE FUNCTION change()";
+    server.execute(change).await.unwrap();
+    let refused = migrate(&first, &second, &quiet).await.unwrap_err();
+    let said = refused.to_string();
+    assert!(said.contains("powder: 5 rows were copied, and 5 others came back"), "{said}");
+    server.execute("DROP TRIGGER change ON powder").await.unwrap();
+    migrate(&first, &second, &quiet).await.unwrap();
+}
+
+#[tokio::test]
 async fn a_damaged_file_is_named_and_the_rest_is_copied() {
     let Some(places) = Places::new() else { return };
     let (first, second) = (places.folder("first"), places.server("second").await);
