@@ -79,7 +79,7 @@ pub use crate::jobs::{Conditions, Crew, Functions, Workers, compute_on, give_way
 pub(crate) use agent::agent;
 pub use asked::asked_after;
 pub use audit_search::{AUDIT_CSV_HEADER, AuditAsked, audit_csv};
-pub use backup::{BackupError, back_up, restore};
+pub use backup::{BackupError, back_up, move_store, restore};
 pub use balance::{BalanceReading, BalanceRequest};
 pub use bench::{BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest};
 pub use calibrations::{Calibration, CalibrationRequest};
@@ -126,6 +126,7 @@ pub use flip_store::events::Event;
 pub use flip_store::holds::Held;
 pub use flip_store::jobs::{Job, JobsWanted};
 pub use flip_store::labels::{ArchivedItems, Label, LabelKind, Shown};
+pub use flip_store::migrate::{CopyProgress, Migrated};
 pub use flip_store::node_actions::{Fate, NodeAction};
 pub use flip_store::observations::PowderObservation;
 pub use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery, SERIES_LIMIT_MAX};

@@ -1,10 +1,17 @@
-//! `flip backup` and `flip restore`: complete copies of a data folder, even while a server runs.
+//! `flip backup` and `flip restore`: complete copies of what is stored, even while a server runs;
+//! `flip migrate` to another database.
 
 use super::Common;
 use super::failure::Failure;
 use super::session::runtime;
-use crate::app::{BackupError, Copied, Who, acting, back_up, restore};
+use crate::app::{
+    BackupError, Copied, CopyProgress, Migrated, Storage, Who, acting, back_up, move_store, restore,
+};
+use flip_core::domain::FieldError;
+use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
 
 /// Arguments of `flip backup`.
 #[derive(Debug, clap::Args)]
@@ -18,7 +25,7 @@ pub(super) struct Arguments {
 #[derive(Debug, clap::Args)]
 pub(super) struct RestoreArguments {
     /// Backup made by `flip backup`. It is restored to `--data-dir`, which must not exist yet, or
-    /// be empty.
+    /// be empty; and to the database of `--database-url` if there is one, which must be empty.
     #[arg(value_name = "BACKUP")]
     from: PathBuf,
     /// Keep the tokens as they are in the backup, even those revoked since. Without it all are
@@ -27,15 +34,100 @@ pub(super) struct RestoreArguments {
     keep_tokens: bool,
 }
 
+/// Arguments of `flip migrate`.
+#[derive(Debug, clap::Args)]
+pub(super) struct MigrateArguments {
+    /// A data folder, or a database such as postgres://flip@db.lab/flip, that nobody serves.
+    #[arg(long, value_name = "DIR|URL")]
+    from: String,
+    /// An empty database, or a folder that must not exist yet, or be empty.
+    #[arg(long, value_name = "DIR|URL")]
+    to: String,
+}
+
+impl MigrateArguments {
+    /// Both sides. The files of the one on a server are in the data folder.
+    fn sides(&self, common: &Common) -> Result<(Storage, Storage), Failure> {
+        let is_url = |side: &str| side.contains("://");
+        let side = |field: &'static str, side: &str| match is_url(side) {
+            true => Storage::on_server(side, &common.data_dir)
+                .map_err(|error| FieldError::new(field, error.to_string())),
+            false => Ok(Storage::in_folder(side)),
+        };
+        if is_url(&self.from) == is_url(&self.to) {
+            let why = "one side is a data folder, the other a database on a server; `flip backup` and `flip restore` copy between two of a kind";
+            return Err(FieldError::new("to", why).into());
+        }
+        Ok((side("from", &self.from)?, side("to", &self.to)?))
+    }
+}
+
+/// Moves what is stored between a data folder and a server.
+pub(super) fn run_migrate(common: &Common, arguments: &MigrateArguments) -> Result<(), Failure> {
+    let (from, to) = arguments.sides(common)?;
+    let told = Told::default();
+    let tell = |progress: CopyProgress<'_>| told.tell(progress);
+    let made = runtime()?.block_on(move_store(&from, &to, &tell))?;
+    common.print(&made, || migrated_text(&made, &to))
+}
+
+fn migrated_text(made: &Migrated, to: &Storage) -> String {
+    let rows: u64 = made.tables.iter().map(|table| table.rows).sum();
+    let mut text = format!(
+        "{to} holds all of it: {rows} rows of {} tables, {} files, {} records, as read back\nlast hash {}",
+        made.tables.len(),
+        made.files,
+        made.records,
+        made.last_hash
+    );
+    if !made.lost.is_empty() {
+        text += &format!("\nfiles already lost before: {}", made.lost.join(", "));
+    }
+    if let Some(why) = &made.audit_broken {
+        text += &format!("\nits audit trail is kept as it is, and is not what was written: {why}");
+    }
+    text
+}
+
+/// Says on stderr how far a long copy is.
+#[derive(Default)]
+struct Told(Mutex<Option<Instant>>);
+
+impl Told {
+    fn tell(&self, progress: CopyProgress<'_>) {
+        const EVERY: Duration = Duration::from_secs(2);
+        let Ok(mut last) = self.0.lock() else { return };
+        let last = last.get_or_insert_with(Instant::now);
+        if last.elapsed() < EVERY {
+            return;
+        }
+        *last = Instant::now();
+        let said = match progress {
+            CopyProgress::Files { done, of } => format!("{done} of {of} files"),
+            CopyProgress::Rows { table, done } => format!("{done} rows of {table}"),
+            CopyProgress::ReadingBack => "reading all of it back".to_owned(),
+        };
+        // Nobody who reads it is no reason to stop.
+        drop(writeln!(std::io::stderr(), "{said}"));
+    }
+}
+
 /// Copies the data folder.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let made = runtime()?.block_on(back_up(&common.data_dir, &arguments.to))?;
+    let storage = common.storage()?;
+    let told = Told::default();
+    let tell = |progress: CopyProgress<'_>| told.tell(progress);
+    let copied = back_up(&storage, &arguments.to, &tell);
+    let made = runtime()?.block_on(copied)?;
     common.print(&made, || text(&made))
 }
 
-/// Restores a data folder from a backup.
+/// Restores a data folder, or a database on a server, from a backup.
 pub(super) fn run_restore(common: &Common, arguments: &RestoreArguments) -> Result<(), Failure> {
-    let restored = restore(&arguments.from, &common.data_dir, arguments.keep_tokens);
+    let storage = common.storage()?;
+    let told = Told::default();
+    let tell = |progress: CopyProgress<'_>| told.tell(progress);
+    let restored = restore(&arguments.from, &storage, arguments.keep_tokens, &tell);
     let made = runtime()?.block_on(acting(Who::command_line(), restored))?;
     common.print(&made, || text(&made))
 }

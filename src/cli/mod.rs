@@ -172,6 +172,9 @@ enum Command {
     Backup(backup::Arguments),
     /// Restore a data folder from a backup.
     Restore(backup::RestoreArguments),
+    /// Move everything between a data folder and an empty database on a server, to go on working
+    /// there; the files of the latter are in `--data-dir`.
+    Migrate(backup::MigrateArguments),
     /// Run emulated devices, singly or as a whole laboratory, until Ctrl-C.
     Emulate(emulate::Arguments),
     /// List calibrations, trainings, evaluations, investigations, camera measurements and films;
@@ -258,6 +261,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Export(arguments) => export::run(common, arguments),
         Command::Backup(arguments) => backup::run(common, arguments),
         Command::Restore(arguments) => backup::run_restore(common, arguments),
+        Command::Migrate(arguments) => backup::run_migrate(common, arguments),
         Command::Jobs(arguments) => jobs::run(common, arguments),
         Command::Token(arguments) => token::run(common, arguments),
         Command::Health(arguments) => health::run(common, arguments),

@@ -14,7 +14,7 @@ const IS_OF_DEVICES: &str = "speaks to devices of this computer";
 const IS_OF_THE_BINARY: &str = "is about this program, not about a server";
 
 /// Commands without a counterpart in a server.
-const HERE: [(&str, &str); 21] = [
+const HERE: [(&str, &str); 22] = [
     ("serve", "is a server itself"),
     ("worker", COMPUTES),
     ("demo", "is a server itself"),
@@ -31,6 +31,7 @@ const HERE: [(&str, &str); 21] = [
     ("audit archive", IS_OF_THE_FOLDER),
     ("backup", IS_OF_THE_FOLDER),
     ("restore", IS_OF_THE_FOLDER),
+    ("migrate", IS_OF_THE_FOLDER),
     ("emulate", "runs devices on this computer"),
     ("doctor", "examines this computer"),
     ("config check", "reads a file of this computer"),

@@ -1,7 +1,7 @@
 //! The record of old weighings in files: it reads as before, a lost or changed file is named, and
 //! nothing is lost on the way there.
 
-use crate::harness::{Service, problem};
+use crate::harness::{Service, problem, storage};
 use flip::app::{Archived, back_up, restore};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -219,19 +219,19 @@ async fn records_that_are_in_no_archive_cannot_be_deleted_and_what_was_changed_i
 
 #[tokio::test]
 async fn a_backup_holds_the_archives_and_says_which_are_lost() {
-    if flip_testing::only_sqlite_has("copies of its file") {
-        return;
-    }
     let service = Service::ready().await;
     weighed(&service, "one").await;
     let done = archive(&service).await;
     let away = tempfile::tempdir().unwrap();
-    let made = back_up(service.folder(), &away.path().join("kept")).await.unwrap();
+    let made =
+        back_up(storage(service.folder()).await, &away.path().join("kept"), &|_| {}).await.unwrap();
     assert_eq!((&made.audit_broken, &made.lost), (&None, &Vec::new()));
     let copied = std::fs::read(file_of(&away.path().join("kept"), &done)).unwrap();
     assert_eq!(copied, std::fs::read(file_of(service.folder(), &done)).unwrap());
     std::fs::remove_file(file_of(service.folder(), &done)).unwrap();
-    let made = back_up(service.folder(), &away.path().join("poorer")).await.unwrap();
+    let made = back_up(storage(service.folder()).await, &away.path().join("poorer"), &|_| {})
+        .await
+        .unwrap();
     assert_eq!(made.lost, done.files);
     assert!(made.audit_broken.unwrap().contains(&done.files[0]));
 }
@@ -319,9 +319,6 @@ async fn what_the_table_of_archives_says_is_compared_with_the_record_also_where_
 
 #[tokio::test]
 async fn a_damaged_archive_is_copied_as_it_is_and_named_and_its_other_parts_still_read() {
-    if flip_testing::only_sqlite_has("copies of its file") {
-        return;
-    }
     let service = Service::ready().await;
     weighed(&service, "one").await;
     let other = weighed(&service, "two").await;
@@ -332,8 +329,8 @@ async fn a_damaged_archive_is_copied_as_it_is_and_named_and_its_other_parts_stil
     std::fs::write(&file, &bytes).unwrap();
     let away = tempfile::tempdir().unwrap();
     let (kept, back) = (away.path().join("kept"), away.path().join("back"));
-    let copied = back_up(service.folder(), &kept).await.unwrap();
-    let restored = restore(&kept, &back, false).await.unwrap();
+    let copied = back_up(storage(service.folder()).await, &kept, &|_| {}).await.unwrap();
+    let restored = restore(&kept, storage(&back).await, false, &|_| {}).await.unwrap();
     for (made, folder) in [(copied, &kept), (restored, &back)] {
         assert_eq!((&made.damaged, &made.lost), (&done.files, &done.files));
         assert_eq!(std::fs::read(file_of(folder, &done)).unwrap(), bytes);

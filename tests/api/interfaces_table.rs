@@ -99,6 +99,7 @@
     ["list_job_times", "Jobs/ListJobTimes", "-", "for people at the page and programs"],
     ["list_workers", "Jobs/ListWorkers", "jobs", ""],
     ["-", "-", "worker", "computes jobs of a database on a server"],
+    ["-", "-", "migrate", "moves what no service has"],
     ["get_job", "Jobs/GetJob", "jobs", ""],
     ["cancel_job", "Jobs/CancelJob", "jobs", ""],
     ["start_job_again", "Jobs/StartJobAgain", "jobs", ""],

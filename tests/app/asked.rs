@@ -2,7 +2,7 @@
 //! before.
 
 use crate::bench::{clear, code, resume};
-use crate::harness::{calibrated, functions, mg, open, open_in, pour, until};
+use crate::harness::{calibrated, functions, mg, open, open_in, pour, storage, until};
 use crate::vials::{asked, dead_client, laboratory, said, until_awaiting};
 use crate::weighing::{Gate, done};
 use flip::app::{App, Functions, ReservationRequest, back_up, restore};
@@ -271,9 +271,6 @@ async fn a_weighing_and_a_reservation_that_are_asked_at_once_are_not_both_taken(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_restored_folder_begins_none_of_its_planned_doses_before_a_person_resumes() {
-    if flip_testing::only_sqlite_has("copies of its file") {
-        return;
-    }
     let gate = Arc::new(Gate::default());
     let folder = tempfile::tempdir().unwrap();
     let [data, kept, back] = ["data", "kept", "back"].map(|name| folder.path().join(name));
@@ -282,13 +279,13 @@ async fn a_restored_folder_begins_none_of_its_planned_doses_before_a_person_resu
     let _moving = app.start_weighing(mg("sand", 5.0), "moving").await.unwrap();
     until("the first moves", async || gate.pours.load(Ordering::SeqCst) == 1).await;
     let planned = app.start_weighing(mg("sand", 6.0), "planned").await.unwrap().0.id;
-    back_up(&data, &kept).await.unwrap();
+    back_up(storage(&data).await, &kept, &|_| {}).await.unwrap();
     gate.open();
     // It is poured after the backup, which does not contain it.
     assert_eq!(done(&app, &planned).await.outcome, Some(Outcome::Within));
     app.shutdown().await.unwrap();
 
-    let made = restore(&kept, &back, false).await.unwrap();
+    let made = restore(&kept, storage(&back).await, false, &|_| {}).await.unwrap();
     let app = open_in(&back, gate.functions()).await;
     let found = app.bench().await.unwrap();
     let why = found.held.expect("a person must look").reason;

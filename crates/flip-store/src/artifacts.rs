@@ -3,8 +3,9 @@
 
 use super::sql::Flag;
 use super::{Error, Result, Store};
+use serde::Serialize;
 use sha2::{Digest, Sha256};
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::fs::{self, File};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
@@ -22,6 +23,34 @@ pub(super) const NAMED: &str = "SELECT checkpoint FROM job WHERE checkpoint IS N
     UNION SELECT result ->> '$.sha256' FROM job WHERE kind = 'film' AND result ->> '$.sha256' IS NOT NULL \
     UNION SELECT trace FROM weighing WHERE trace IS NOT NULL \
     UNION SELECT json_tree.atom FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom IS NOT NULL";
+
+/// As [`NAMED`], with the rows that name them.
+const NAMED_BY: &str = "SELECT 'job ' || id AS namer, checkpoint AS sha256 FROM job WHERE checkpoint IS NOT NULL \
+    UNION ALL SELECT 'job ' || id, result ->> '$.posterior' FROM job WHERE kind = 'calibration' AND result ->> '$.posterior' IS NOT NULL \
+    UNION ALL SELECT 'job ' || id, result ->> '$.sha256' FROM job WHERE kind = 'film' AND result ->> '$.sha256' IS NOT NULL \
+    UNION ALL SELECT 'weighing ' || id, trace FROM weighing WHERE trace IS NOT NULL \
+    UNION ALL SELECT 'pile ' || CAST(pile.number AS TEXT) || ' of job ' || pile.job, json_tree.atom \
+    FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom IS NOT NULL";
+
+/// How files and rows disagree.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Disagreement {
+    /// Names of files that no row names, in order. A start removes those older than a day.
+    pub unnamed: Vec<String>,
+    /// Files that rows name and that are lost, in order.
+    pub lost: Vec<LostArtifact>,
+}
+
+/// A file that rows name and that is missing or damaged.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct LostArtifact {
+    /// The name that rows know it by.
+    pub sha256: String,
+    /// The rows that name it, such as `weighing 01a2…`.
+    pub named_by: Vec<String>,
+    /// Whether there is a file, with other contents.
+    pub damaged: bool,
+}
 
 /// A folder of content-addressed files: `ab/<sha256>`.
 #[derive(Clone, Debug)]
@@ -125,6 +154,24 @@ impl Artifacts {
         Ok(found)
     }
 
+    /// Whether a file is lost; `Some(true)` if it is there, with other contents.
+    fn lost(&self, sha256: &str, thorough: bool) -> Result<Option<bool>> {
+        let found = if thorough { self.get(sha256).map(drop) } else { self.is_there(sha256) };
+        match found {
+            Ok(()) => Ok(None),
+            Err(Error::Corrupt(_)) => Ok(Some(true)),
+            Err(Error::File { source, .. }) if source.kind() == ErrorKind::NotFound => {
+                Ok(Some(false))
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    fn is_there(&self, sha256: &str) -> Result<()> {
+        let path = self.path(sha256);
+        fs::metadata(&path).map(drop).map_err(|source| Error::File { path, source })
+    }
+
     fn path(&self, sha256: &str) -> PathBuf {
         self.folder.join(sha256.get(..2).unwrap_or("__")).join(sha256)
     }
@@ -140,6 +187,32 @@ impl Store {
              UNION SELECT 1 FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom = $1)";
         let Flag(named) = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;
         if named { Ok(()) } else { remove(&self.artifacts.path(sha256)) }
+    }
+
+    /// Compare the files with the rows that name them; `thorough`: read each file and compare it
+    /// with its name, too. A running server may be about to name a file, or to remove one.
+    ///
+    /// # Errors
+    /// [`Error::File`], [`Error::Database`].
+    pub async fn check_artifacts(&self, thorough: bool) -> Result<Disagreement> {
+        // Files first: one that is written and named meanwhile is not called unnamed.
+        let files = self.artifacts.files()?;
+        let rows: Vec<(String, String)> = sqlx::query_as(NAMED_BY).fetch_all(&self.long).await?;
+        let mut named = BTreeMap::<String, Vec<String>>::new();
+        for (namer, sha256) in rows {
+            named.entry(sha256).or_default().push(namer);
+        }
+        let names = files.iter().filter_map(|path| file_name(path));
+        let mut unnamed: Vec<_> =
+            names.filter(|name| !named.contains_key(*name)).map(str::to_owned).collect();
+        unnamed.sort();
+        let mut lost = Vec::new();
+        for (sha256, mut named_by) in named {
+            let Some(damaged) = self.artifacts.lost(&sha256, thorough)? else { continue };
+            named_by.sort();
+            lost.push(LostArtifact { sha256, named_by, damaged });
+        }
+        Ok(Disagreement { unnamed, lost })
     }
 
     /// Remove files that no row has named for a day: a process that ends between file and row
@@ -185,6 +258,46 @@ fn remove(path: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[tokio::test]
+    async fn files_that_no_row_names_and_rows_whose_file_is_lost_are_listed() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = crate::testing::open(folder.path()).await.unwrap();
+        let put = |text: &str| store.artifacts().put(text.as_bytes()).unwrap();
+        let (whole, damaged, unnamed) = (put("whole"), put("damaged"), put("unnamed"));
+        let gone = sha256_hex(b"gone");
+        let insert = "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at, checkpoint, finished_at, result) \
+                      VALUES ($1, $2, '{}', $3, $4, 0, $5, $6, $7)";
+        let film = format!(r#"{{"sha256":"{damaged}"}}"#);
+        let rows = [
+            ("a", "training", "queued", Some(&whole), None, None),
+            ("b", "film", "succeeded", Some(&gone), Some(1_i64), Some(&film)),
+            ("c", "training", "queued", Some(&gone), None, None),
+        ];
+        for (id, kind, state, checkpoint, finished_at, result) in rows {
+            let row = sqlx::query(insert)
+                .bind(id)
+                .bind(kind)
+                .bind(sha256_hex(id.as_bytes()).into_bytes()[..32].to_vec());
+            let row = row.bind(state).bind(checkpoint).bind(finished_at).bind(result);
+            row.execute(store.writer().unwrap()).await.unwrap();
+        }
+        let pile = format!(r#"{{"frames":[{{"depth":"{whole}"}},{{"depth":"{gone}"}}]}}"#);
+        let sql = "INSERT INTO pile (job, number, body) VALUES ('a', 1, $1)";
+        sqlx::query(sql).bind(pile).execute(store.writer().unwrap()).await.unwrap();
+        fs::write(store.artifacts().path(&damaged), b"otherwise").unwrap();
+        let lost = |sha256: &String, named_by: &[&str], damaged| LostArtifact {
+            sha256: sha256.clone(),
+            named_by: named_by.iter().map(|it| (*it).to_owned()).collect(),
+            damaged,
+        };
+        let found = store.check_artifacts(false).await.unwrap();
+        let gone = lost(&gone, &["job b", "job c", "pile 1 of job a"], false);
+        assert_eq!(found, Disagreement { unnamed: vec![unnamed], lost: vec![gone.clone()] });
+        let mut both = vec![gone, lost(&damaged, &["job b"], true)];
+        both.sort_by(|a, b| a.sha256.cmp(&b.sha256));
+        assert_eq!(store.check_artifacts(true).await.unwrap().lost, both);
+    }
 
     #[test]
     fn bytes_come_back_under_their_hash_and_damage_is_noticed() {

@@ -5,18 +5,20 @@
 //! overwrites anything: the copy is made next to its destination under another name, verified, and
 //! renamed in one step.
 
-use super::archive::{self, Archives};
-use super::artifacts::{Artifacts, NAMED, sha256_hex};
 use super::holds::Held;
+use super::migrate::files::{self, Beside};
+use super::migrate::source::Source;
+use super::migrate::{self, CopyProgress, Migrated};
 use super::open::{archives, artifacts};
 use super::sqlite::{self, DATABASE};
-use super::{Error, Result, Store, new_id, now, sound};
+use super::{Error, Result, Storage, Store, now, sound};
 use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
-use std::fs::{self, DirBuilder, File, Permissions};
-use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
+use std::fs::{self, File, Permissions};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
+use tempfile::TempDir;
 
 /// Contents of a copy, as read back.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -71,16 +73,99 @@ pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
 /// # Errors
 /// As [`copy()`].
 pub async fn restore(backup: &Path, to: &Path, keep_tokens: bool) -> Result<Copied> {
-    let (beside, mut made) = copy_beside(backup, to).await?;
-    let written_at = written_at(&backup.join(DATABASE))?;
-    let store = Store::open(&beside.folder).await?;
-    made.held = Some(hold(&store, written_at).await?);
-    if !keep_tokens {
-        made.revoked_tokens = Some(revoke_tokens(&store).await?);
-    }
-    store.close().await;
+    let (beside, made) = copy_beside(backup, to).await?;
+    let (held, revoked_tokens) = make_safe(&beside.folder, backup, keep_tokens).await?;
     beside.put_in_place(to)?;
-    Ok(Copied { folder: to.to_owned(), ..made })
+    Ok(Copied { folder: to.to_owned(), held: Some(held), revoked_tokens, ..made })
+}
+
+/// Bring a copied database to this program's schema, hold its bench and revoke its tokens; returns
+/// why it is held and how many were revoked.
+async fn make_safe(
+    folder: &Path,
+    backup: &Path,
+    keep_tokens: bool,
+) -> Result<(String, Option<usize>)> {
+    let written_at = written_at(&backup.join(DATABASE))?;
+    let store = Store::open(folder).await?;
+    let held = hold(&store, written_at).await?;
+    let revoked = match keep_tokens {
+        true => None,
+        false => Some(revoke_tokens(&store).await?),
+    };
+    store.close().await;
+    Ok((held, revoked))
+}
+
+/// As [`copy()`], of a store on either database; what is made of one on a server is an ordinary data
+/// folder too, with SQLite.
+///
+/// # Errors
+/// As [`copy()`]; [`Error::Unstarted`], [`Error::Unreachable`] and others of the server. Nothing is
+/// left behind.
+pub async fn copy_of(
+    from: &Storage,
+    to: &Path,
+    progress: &(dyn Fn(CopyProgress<'_>) + Sync),
+) -> Result<Copied> {
+    if !from.is_on_server() {
+        return copy(from.folder(), to).await;
+    }
+    Ok(migrate::copy(Source::beside(from).await?, &to.into(), progress).await?.into())
+}
+
+/// As [`restore()`], to either database. That of a server must have no rows; they come there in one
+/// transaction, with the bench held and the tokens revoked.
+///
+/// # Errors
+/// As [`restore()`]; [`Error::Filled`], [`Error::Held`], [`Error::Unfit`], and those of the server.
+/// Nothing is left behind.
+pub async fn restore_to(
+    backup: &Path,
+    to: &Storage,
+    keep_tokens: bool,
+    progress: &(dyn Fn(CopyProgress<'_>) + Sync),
+) -> Result<Copied> {
+    if !to.is_on_server() {
+        return restore(backup, to.folder(), keep_tokens).await;
+    }
+    // Without its files, which go to their place directly.
+    let temporary = std::env::temp_dir();
+    let failed = |source| Error::File { path: temporary.clone(), source };
+    let folder = TempDir::with_prefix("flip-").map_err(failed)?;
+    let mut rows = copy_database(backup, folder.path()).await?;
+    rows.archives = archives(backup);
+    let found = rows.verify_audit(None).await?;
+    rows.close().await;
+    let (held, revoked_tokens) = make_safe(folder.path(), backup, keep_tokens).await?;
+    let mut source = Source::alone(&folder.path().into()).await?;
+    (source.artifacts, source.archives) = (artifacts(backup), archives(backup));
+    let made = Copied::from(migrate::copy(source, to, progress).await?);
+    Ok(Copied {
+        held: Some(held),
+        revoked_tokens,
+        records: found.records,
+        last_hash: found.last_hash,
+        audit_broken: found.broken.map(|broken| format!("record {}: {}", broken.seq, broken.why)),
+        ..made
+    })
+}
+
+impl From<Migrated> for Copied {
+    fn from(made: Migrated) -> Self {
+        Self {
+            folder: made.folder,
+            database_bytes: made.database_bytes,
+            files: made.files,
+            lost: made.lost,
+            damaged: made.damaged,
+            records: made.records,
+            last_hash: made.last_hash,
+            audit_broken: made.audit_broken,
+            held: None,
+            revoked_tokens: None,
+        }
+    }
 }
 
 /// Revoke every token that is still valid; returns how many.
@@ -96,15 +181,7 @@ async fn revoke_tokens(store: &Store) -> Result<usize> {
 }
 
 async fn copy_beside(from: &Path, to: &Path) -> Result<(Beside, Copied)> {
-    if fs::read_dir(to).is_ok_and(|mut found| found.next().is_some())
-        || (to.exists() && !to.is_dir())
-    {
-        return Err(Error::Occupied(to.to_owned()));
-    }
-    if !fs::metadata(from.join(DATABASE)).is_ok_and(|it| it.len() > 0) {
-        return Err(Error::Absent(from.to_owned()));
-    }
-    let beside = Beside::make(to)?;
+    let beside = Beside::for_new(to)?;
     let made = fill(from, &beside.folder).await?;
     Ok((beside, made))
 }
@@ -131,8 +208,11 @@ async fn hold(store: &Store, backup: Timestamp) -> Result<String> {
     Ok(reason)
 }
 
-/// Database first: every file it names already exists then.
-async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
+/// Copy the database, check the copy and open it to read.
+async fn copy_database(from: &Path, folder: &Path) -> Result<Store> {
+    if !fs::metadata(from.join(DATABASE)).is_ok_and(|it| it.len() > 0) {
+        return Err(Error::Absent(from.to_owned()));
+    }
     let database = folder.join(DATABASE);
     let original = sqlite::to_read(from).await?;
     sqlite::copy_database(&original, &database).await?;
@@ -140,106 +220,33 @@ async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
     let failed = |source| Error::File { path: database.clone(), source };
     fs::set_permissions(&database, Permissions::from_mode(0o600)).map_err(failed)?;
     File::open(&database).and_then(|file| file.sync_all()).map_err(failed)?;
-
     sound::check(&database).await?;
-    let copy = Store::open_to_read(folder).await?;
-    let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(&copy.reader).await?;
-    let mut lost = copy_files(&named, &artifacts(from), &artifacts(folder))?;
-    let named_archives: Vec<(String, String)> =
-        sqlx::query_as(archive::NAMED).fetch_all(&copy.reader).await?;
-    let archives = copy_archives(&named_archives, &archives(from), &archives(folder))?;
-    lost.extend(archives.gone.into_iter().chain(archives.damaged.iter().cloned()));
+    Store::open_to_read(folder).await
+}
+
+/// Database first: every file it names already exists then.
+async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
+    let copy = copy_database(from, folder).await?;
+    let database = folder.join(DATABASE);
+    let failed = |source| Error::File { path: database.clone(), source };
+    let mut reader = copy.reader.acquire().await?;
+    let (from, to) = ((&artifacts(from), &archives(from)), (&artifacts(folder), &archives(folder)));
+    let files = files::copy(&mut reader, from, to, &|_| {}).await?;
+    drop(reader);
     let found = copy.verify_audit(None).await?;
     copy.close().await;
     Ok(Copied {
         folder: folder.to_owned(),
         database_bytes: fs::metadata(&database).map_err(failed)?.len(),
-        files: named.len() + named_archives.len() - lost.len(),
-        lost,
-        damaged: archives.damaged,
+        files: files.whole,
+        lost: files.lost,
+        damaged: files.damaged,
         records: found.records,
         last_hash: found.last_hash,
         audit_broken: found.broken.map(|broken| format!("record {}: {}", broken.seq, broken.why)),
         held: None,
         revoked_tokens: None,
     })
-}
-
-/// Copy these files and read each copy back; returns those that are not intact in the original.
-fn copy_files(named: &[String], from: &Artifacts, to: &Artifacts) -> Result<Vec<String>> {
-    let mut lost = Vec::new();
-    for sha256 in named {
-        match from.get(sha256) {
-            Ok(bytes) => {
-                to.put(&bytes)?;
-                to.get(sha256)?;
-            }
-            Err(error) if error.is_lost_part() => lost.push(sha256.clone()),
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(lost)
-}
-
-/// Archives that are not intact in the original.
-#[derive(Debug, Default)]
-struct NotWhole {
-    gone: Vec<String>,
-    damaged: Vec<String>,
-}
-
-/// Copy these archives and read each copy back. A damaged one is copied as it is: its parts can be
-/// read independently.
-fn copy_archives(named: &[(String, String)], from: &Archives, to: &Archives) -> Result<NotWhole> {
-    let mut found = NotWhole::default();
-    for (file, sha256) in named {
-        match from.bytes(file) {
-            Ok(bytes) => {
-                to.put(file, &bytes)?;
-                let copied = sha256_hex(&bytes);
-                to.get(file, &copied)?;
-                found.damaged.extend((copied != *sha256).then(|| file.clone()));
-            }
-            Err(error) if error.is_lost_part() => found.gone.push(file.clone()),
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(found)
-}
-
-/// A temporary folder next to a copy's destination; removed if dropped before it is renamed.
-struct Beside {
-    folder: PathBuf,
-    parent: PathBuf,
-}
-
-impl Beside {
-    fn make(to: &Path) -> Result<Self> {
-        let parent = match to.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
-            _ => PathBuf::from("."),
-        };
-        let folder = parent.join(format!(".flip-{}.part", new_id()));
-        let failed = |source| Error::File { path: folder.clone(), source };
-        fs::create_dir_all(&parent).map_err(failed)?;
-        DirBuilder::new().mode(0o700).create(&folder).map_err(failed)?;
-        Ok(Self { folder, parent })
-    }
-
-    /// Rename it: replaces an empty folder at the destination, fails for anything else.
-    fn put_in_place(&self, to: &Path) -> Result<()> {
-        let failed = |source| Error::File { path: to.to_owned(), source };
-        File::open(&self.folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
-        fs::rename(&self.folder, to).map_err(failed)?;
-        File::open(&self.parent).and_then(|folder| folder.sync_all()).map_err(failed)
-    }
-}
-
-impl Drop for Beside {
-    fn drop(&mut self) {
-        // After renaming it no longer exists.
-        let _ = fs::remove_dir_all(&self.folder);
-    }
 }
 
 #[cfg(test)]

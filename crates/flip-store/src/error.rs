@@ -52,6 +52,40 @@ pub enum Error {
     /// A copy would overwrite something.
     #[error("{0} is there already and not empty: name a folder that is not there yet")]
     Occupied(PathBuf),
+    /// A copy would be mixed with rows that are there.
+    #[error(
+        "the database {database} holds rows already (table {table}): name an empty one, as `CREATE DATABASE` makes it. Nothing was changed"
+    )]
+    Filled {
+        /// The database.
+        database: String,
+        /// The first table that has rows.
+        table: String,
+    },
+    /// A value that the other database cannot store.
+    #[error(
+        "table {table}, row {row}: {column} {why}: change it where it is, and copy again. Nothing was copied"
+    )]
+    Unfit {
+        /// The table.
+        table: String,
+        /// The row's key.
+        row: String,
+        /// The column.
+        column: String,
+        /// What is wrong with it.
+        why: &'static str,
+    },
+    /// The store to be copied is not as a start of this program leaves it.
+    #[error(
+        "{0} is of an older FLIP, or was never started: start this FLIP with it once, and copy again"
+    )]
+    Unstarted(String),
+    /// Workers compute jobs of the store to be copied.
+    #[error(
+        "workers compute jobs of {0}: stop them (`flip jobs --workers` names them), and copy again"
+    )]
+    Worked(String),
     /// Nothing to copy.
     #[error("{0} holds no flip.db: name a data folder, or a folder that `flip backup` made")]
     Absent(PathBuf),

@@ -28,6 +28,7 @@ pub mod jobs;
 pub mod labels;
 pub mod ledger;
 mod lock;
+pub mod migrate;
 pub mod node_actions;
 pub mod observations;
 mod open;

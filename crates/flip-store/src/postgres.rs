@@ -30,6 +30,10 @@ const TO_WRITE: &str = "SET lock_timeout = '5s'; \
 const TO_READ: &str =
     "SET default_transaction_read_only = on; SET default_transaction_isolation = 'repeatable read'";
 
+/// What a transaction sets that lasts as long as a copy of everything, or waits for files.
+pub(super) const PATIENT: &str =
+    "SET LOCAL statement_timeout = 0; SET LOCAL idle_in_transaction_session_timeout = 0";
+
 /// A database on a server. Following its events ends with it.
 pub(super) struct Server {
     options: AnyConnectOptions,
@@ -186,6 +190,12 @@ pub(super) async fn check_schema(address: &AnyConnectOptions) -> Result<()> {
     if has_schema(address).await? { Ok(()) } else { Err(Error::Older) }
 }
 
+/// The name of the database.
+async fn name(connection: &mut PgConnection) -> Result<String> {
+    let name = sqlx::query_scalar("SELECT current_database()::text");
+    Ok(name.fetch_one(connection).await?)
+}
+
 /// Check the server; whether its database has this program's schema, `false` if an older one or
 /// none.
 ///
@@ -204,17 +214,13 @@ pub(super) async fn has_schema(address: &AnyConnectOptions) -> Result<bool> {
 }
 
 /// What a process repairs when it starts (leases, interrupted doses) is sound only if it is alone.
-async fn serve_alone(connection: &mut PgConnection) -> Result<()> {
+pub(super) async fn serve_alone(connection: &mut PgConnection) -> Result<()> {
     // The server may not have noticed yet that the process before has ended.
     connection.execute("SET lock_timeout = '2s'").await?;
     // The letters "FLIQ".
     let locked = connection.execute("SELECT pg_advisory_lock(1179404625)").await;
     match locked.map_err(Error::from) {
-        Err(Error::Locked) => {
-            let name = sqlx::query_scalar("SELECT current_database()::text");
-            let name: String = name.fetch_one(connection).await?;
-            Err(Error::Held(name.into()))
-        }
+        Err(Error::Locked) => Err(Error::Held(name(connection).await?.into())),
         locked => locked.map(drop),
     }
 }

@@ -6,7 +6,7 @@
 //! rows. A row that no record knows was inserted from outside, whatever creation time it claims:
 //! rows that predate the record are in the record of the stock-taking (`stock.rs`).
 
-use super::archive::{self, Away, LostArchive, Named, Order, aways, hash_at, why_lost};
+use super::archive::{self, Archives, Away, LostArchive, Named, Order, aways, hash_at, why_lost};
 use super::audit::{AuditBreak, AuditVerification, OutcomeRecord, Written, beginning};
 use super::page::LONG_BATCH;
 use super::said::{ChangedOther, Said};
@@ -33,7 +33,7 @@ pub struct ChangedRow {
 
 /// Findings so far.
 struct Walk<'a> {
-    store: &'a Store,
+    files: &'a Archives,
     wanted: Option<&'a str>,
     records: i64,
     last_hash: String,
@@ -78,20 +78,7 @@ impl Store {
     pub async fn verify_audit(&self, wanted: Option<&str>) -> Result<AuditVerification> {
         // One snapshot: a dose that ends meanwhile would look like a changed row.
         let mut tx = self.long.begin().await?;
-        let mut walk = Walk::new(self, wanted);
-        let mut broken = walk.go_through_records(&mut tx).await?;
-        if broken.is_none() {
-            broken = walk.go_through_rows(&mut tx).await?;
-        }
-        Ok(AuditVerification {
-            broken: broken.or_else(|| walk.first_flaw()),
-            records: walk.records,
-            last_hash: walk.last_hash,
-            holds_hash: wanted.map(|_| walk.holds),
-            changed: walk.changed,
-            others: walk.others,
-            archives: walk.archives,
-        })
+        verified(&mut tx, &self.archives, wanted).await
     }
 
     /// How a weighing's row differs from the record of its outcome. The second value is the
@@ -121,6 +108,28 @@ impl Store {
     }
 }
 
+/// As [`Store::verify_audit`], within a transaction and with these archives.
+pub(super) async fn verified(
+    tx: &mut Transaction<'_, Any>,
+    archives: &Archives,
+    wanted: Option<&str>,
+) -> Result<AuditVerification> {
+    let mut walk = Walk::new(archives, wanted);
+    let mut broken = walk.go_through_records(tx).await?;
+    if broken.is_none() {
+        broken = walk.go_through_rows(tx).await?;
+    }
+    Ok(AuditVerification {
+        broken: broken.or_else(|| walk.first_flaw()),
+        records: walk.records,
+        last_hash: walk.last_hash,
+        holds_hash: wanted.map(|_| walk.holds),
+        changed: walk.changed,
+        others: walk.others,
+        archives: walk.archives,
+    })
+}
+
 /// How the row of a weighing without a recorded outcome differs from the one found by the
 /// stock-taking.
 async fn not_as_found(
@@ -148,9 +157,9 @@ async fn not_as_found(
 }
 
 impl<'a> Walk<'a> {
-    fn new(store: &'a Store, wanted: Option<&'a str>) -> Self {
+    fn new(files: &'a Archives, wanted: Option<&'a str>) -> Self {
         Self {
-            store,
+            files,
             wanted,
             records: 0,
             last_hash: beginning(),
@@ -214,7 +223,7 @@ impl<'a> Walk<'a> {
 
     fn go_through_member(&mut self, away: &Away) -> Result<()> {
         self.members += 1;
-        match self.store.archives.read(away) {
+        match self.files.read(away) {
             Ok(records) => records.iter().for_each(|record| self.take(record)),
             Err(error) if error.is_lost_part() => {
                 self.lose(&away.file, (away.first, away.last), &error);
@@ -294,7 +303,7 @@ impl<'a> Walk<'a> {
             return Ok(());
         }
         let Ok(named) = serde_json::from_str::<Named>(&record.body) else { return Ok(()) };
-        match self.store.archives.get(&named.file, &named.sha256) {
+        match self.files.get(&named.file, &named.sha256) {
             Err(error) if error.is_lost_part() => {
                 self.lose(&named.file, (named.first, named.last), &error)
             }

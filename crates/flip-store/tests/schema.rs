@@ -12,7 +12,7 @@ use flip_store::jobs::JobsWanted;
 use flip_store::labels::Shown;
 use flip_store::page::Window;
 use flip_store::spoonfuls::ShakesWanted;
-use flip_store::{Error, Store, backup};
+use flip_store::{Error, Storage, Store, backup, migrate};
 use serde_json::Value;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions, SqliteSynchronous};
@@ -23,6 +23,9 @@ use tempfile::TempDir;
 
 /// Tables to which opening a folder may add rows: rows from before the audit trail go into it.
 const GROW: [&str; 2] = ["audit", "stock"];
+
+/// From this level on, the rows stored here say that rows from before the audit trail are in it.
+const STOCK_TAKEN: i64 = 20;
 
 /// The migration that removes what a queue library kept in every folder until then.
 const QUEUE_GONE: i64 = 23;
@@ -235,6 +238,36 @@ async fn the_policy_that_weighs_is_the_best_under_the_same_version_of_the_simula
     let evaluated = store.policy("p-2").await.unwrap().unwrap().evaluated;
     assert!(evaluated.is_empty(), "in the base it was not: {evaluated:?}");
     store.close().await;
+}
+
+#[tokio::test]
+async fn a_folder_of_an_older_schema_moves_with_all_its_rows_or_is_to_be_started_first() {
+    for level in [1, STOCK_TAKEN - 2, STOCK_TAKEN, 25] {
+        let folder = folder_of(level).await;
+        let pool = connect(folder.path()).await;
+        let (before, marked) = (rows(&pool).await, level >= STOCK_TAKEN);
+        pool.close().await;
+        let there = tempfile::tempdir().unwrap();
+        let (from, to) = (folder.path().into(), Storage::in_folder(there.path().join("to")));
+        if !marked {
+            let refused = migrate::migrate(&from, &to, &|_| {}).await.unwrap_err();
+            assert!(matches!(refused, Error::Unstarted(_)), "{level}: {refused:?}");
+            assert!(!to.folder().exists(), "{level}");
+            Store::open(folder.path()).await.unwrap().close().await;
+        }
+        let moved = migrate::migrate(&from, &to, &|_| {}).await.unwrap();
+        assert_eq!(moved.audit_broken, None, "{level}");
+        let pool = connect(to.folder()).await;
+        for (table, (columns, rows)) in &before {
+            let now = rows_of(&pool, table, columns).await;
+            let grows = GROW.contains(&table.as_str()) && now.is_superset(rows);
+            assert!(grows || now == *rows, "{level}, {table}:\n{rows:#?}\n{now:#?}");
+        }
+        pool.close().await;
+        let left = connect(folder.path()).await;
+        assert!(rows(&left).await.len() >= before.len(), "{level}: it is left as it was");
+        left.close().await;
+    }
 }
 
 #[tokio::test]
