@@ -83,7 +83,7 @@ const EXCEPTIONS: [(&str, &[&str]); 2] = [
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
 const CONFINED: [(&str, &[&str]); 39] = [
-    ("sqlx::", &["store"]),
+    ("sqlx::", &["store", "testing"]),
     ("axum::", &["api"]),
     ("utoipa::", &["api"]),
     ("ToSchema", &["api"]),
@@ -114,13 +114,13 @@ const CONFINED: [(&str, &[&str]); 39] = [
     ("rayon::", &["calibrate", "judge", "investigate", "traces", "train", "jobs", "cli", "python"]),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
-    ("rustix::", &["api", "cli", "emulate", "hardware", "jobs", "store"]),
+    ("rustix::", &["api", "cli", "emulate", "hardware", "jobs", "store", "testing"]),
     ("anyhow::", &["cli"]),
     // Drivers and emulators are synchronous outside; their own runtimes wait for remote calls.
     ("tokio::", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
-    ("async fn", &["store", "jobs", "app", "api", "cli", "hardware", "emulate"]),
-    ("std::fs", &["store", "api", "cli", "emulate"]),
-    ("std::net", &["api", "cli", "hardware", "emulate"]),
+    ("async fn", &["store", "jobs", "app", "api", "cli", "hardware", "emulate", "testing"]),
+    ("std::fs", &["store", "api", "cli", "emulate", "testing"]),
+    ("std::net", &["api", "cli", "hardware", "emulate", "testing"]),
     (
         "Instant",
         &["hardware", "emulate", "rig", "jobs", "store", "app", "api", "cli", "train", "python"],
