@@ -22,7 +22,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-python laws setup need web docs docs-reference stale chromium bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report pictures proto dist lint check
+.PHONY: run test test-python laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report pictures proto dist lint check
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -33,7 +33,7 @@ run: setup
 	cargo build --release --locked
 	exec cargo run --quiet --release --locked -- demo $(ARGS)
 
-test: setup chromium
+test: setup chromium postgres
 	python3 .ci/tests.py
 
 test-python: setup
@@ -83,6 +83,16 @@ docs-reference: web/docs/node_modules/.package-lock.json
 web/docs/node_modules/.package-lock.json: web/docs/package.json web/docs/package-lock.json
 	cd web/docs && npm ci --no-fund --no-audit
 	touch node_modules/.package-lock.json
+
+# For tests only, which start clusters of their own: the package's own cluster is not made.
+postgres:
+	ls /usr/lib/postgresql/*/bin/initdb > /dev/null 2>&1 && exit 0
+	command -v initdb > /dev/null && exit 0
+	as_root=; [ "$$(id -u)" = 0 ] || as_root=sudo
+	$$as_root apt-get update
+	DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y --no-install-recommends postgresql-common
+	$$as_root sed -i 's/^#\?create_main_cluster.*/create_main_cluster = false/' /etc/postgresql-common/createcluster.conf
+	DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y --no-install-recommends postgresql
 
 chromium:
 	command -v chromium chromium-browser google-chrome > /dev/null && exit 0

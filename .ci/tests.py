@@ -3,6 +3,7 @@
 
 Suites that talk to emulated devices, services and a browser within deadlines run one after another. They mostly wait; what
 they leave of the processor goes to the suites that only compute, two at a time in the scheduler's idle class, which gives way at once.
+The suites of the database run on SQLite, and once more on a private PostgreSQL, beside those of the browser.
 Every suite's output is in target/test/SUITE.log.
 """
 import concurrent.futures
@@ -22,8 +23,20 @@ LOGS = ROOT / "target/test"
 # Examples are compiled by `make lint`.
 CARGO = ["cargo", "test", "--locked", "--workspace", "--exclude", "flip-experiments", "--exclude", "flip-python", "--lib", "--bins", "--tests"]
 
-# Suites that only compute, the longest first.
-COMPUTE = ["physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_grains", "flip_policy", "flip_core"]
+# Suites that also run on PostgreSQL; there without those tests that spend minutes on computing, whatever the database.
+DATABASE = {
+    "flip_store": [],
+    "app": [
+        "calibration::calibrations_share_one_emulator",
+        "simulator::what_an_investigation_accepts",
+        "simulator::without_a_budget",
+        "spoons::angle_and_spoon_are_met",
+    ],
+    "api": ["comparison::the_posterior", "characterisations::the_card_is_of_its_lot"],
+}
+ON_POSTGRES = "_on_postgresql"
+# Suites that only compute, the longest first. A gate has its compiler's warnings looked for meanwhile, too: `make check` then finds them.
+COMPUTE = ["clippy", "physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_grains", "flip_policy", "flip_core"]
 # A niceness of 19 is not enough: a balance that wakes may then wait for milliseconds.
 IDLE = ["chrt", "--idle", "0"] if shutil.which("chrt") else ["nice", "-n", "19"]
 # Tests that run at a time in a suite in which they mostly wait.
@@ -45,6 +58,11 @@ def built():
             threads = ["--test-threads", str(THREADS[name])] if name in THREADS else []
             command = [message["executable"], "-Zunstable-options", "--report-time", *threads]
             yield (f"{name}_{kind}" if kind == "bin" else name), command, folder
+            if name in DATABASE and kind != "bin":
+                left_out = [word for test in DATABASE[name] for word in ("--skip", test)]
+                yield f"{name}{ON_POSTGRES}", ["env", "FLIP_TEST_DATABASE=postgres", *command, *left_out], folder
+    if os.environ.get("FLIP_GATE"):
+        yield "clippy", ["cargo", "clippy", "--locked", "--workspace", "--all-targets", "--", "-D", "warnings"], ROOT
     page = {"FLIP_BIN": str(TARGET / "debug/flip")}
     yield "page", ["env", *(f"{name}={value}" for name, value in page.items()), "npm", "test"], ROOT / "web"
     yield "docs", ["make", "docs"], ROOT
@@ -61,7 +79,7 @@ def run(name, command, folder):
         "CARGO_MANIFEST_DIR": str(folder),
         "LD_LIBRARY_PATH": ":".join(filter(None, paths)),
     }
-    if name in ("clients", "docs", "page"):
+    if name in ("clients", "clippy", "docs", "page"):
         del environment["RUSTC_BOOTSTRAP"]
     start = time.monotonic()
     with log.open("wb") as out:
@@ -94,14 +112,18 @@ def main():
             if status != 0:
                 print((LOGS / f"{name}.log").read_text(errors="replace"), flush=True)
 
-    with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        computing = [pool.submit(work, name, IDLE) for name in COMPUTE if name in suites]
+    with concurrent.futures.ThreadPoolExecutor(2) as pool, concurrent.futures.ThreadPoolExecutor(1) as beside:
+        later = [pool.submit(work, name, IDLE) for name in COMPUTE if name in suites]
         for name in suites:
             if name == "clients" and clients:
                 clients.wait()
-            if name not in COMPUTE:
+            if name == "page":
+                later += [beside.submit(work, it) for it in suites if it.endswith(ON_POSTGRES)]
+            if name not in COMPUTE and not name.endswith(ON_POSTGRES):
                 work(name)
-        for suite in computing:
+        if "page" not in suites:
+            later += [beside.submit(work, it) for it in suites if it.endswith(ON_POSTGRES)]
+        for suite in later:
             suite.result()
     print(f"the {SLOWEST} slowest tests:")
     for seconds, test in sorted((it for result in results.values() for it in result[4]), reverse=True)[:SLOWEST]:
@@ -109,6 +131,9 @@ def main():
     failed = [name for name, result in results.items() if result[0] != 0]
     page, others = (results.get(name, (0, 0, 0, 0))[3] for name in ("page", "clients"))
     total = sum(result[3] for result in results.values())
+    on_postgres = sum(result[3] for name, result in results.items() if name.endswith(ON_POSTGRES))
+    on_sqlite = sum(result[3] for name, result in results.items() if name in DATABASE)
+    print(f"of the database: {on_sqlite} on SQLite, {on_postgres} on PostgreSQL")
     print(f"tests passed: {total} (Rust {total - page - others}, page {page}, others' clients {others})")
     if failed:
         sys.exit(f"failed: {', '.join(failed)}; see target/test/NAME.log")

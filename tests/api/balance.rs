@@ -160,11 +160,14 @@ async fn a_balance_that_is_not_there_in_use_or_not_the_callers_says_so() {
 
     let reserve = json!({ "owner": "Ada", "seconds": 60 });
     let token = service.token(Role::Operator).await;
+    let id = weighing["id"].as_str().unwrap();
+    service.watch(&format!("/v1/weighings/{id}/events"), None).await;
     while service.app.bench().await.unwrap().moving.is_some() {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     let request = service.request("POST", "/v1/bench/reservation").bearer_auth(token);
     let reserved: Value = request.json(&reserve).send().await.unwrap().json().await.unwrap();
+    assert!(reserved["id"].is_string(), "{reserved}");
     let refused = order(&service, "tare", &json!({})).await;
     assert_eq!(code(&problem(refused, 409).await), "bench-reserved");
     let mine = order(&service, "tare", &json!({ "reservation": reserved["id"] })).await;

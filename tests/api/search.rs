@@ -33,7 +33,7 @@ async fn crowded() -> Service {
                  CASE n % 3 WHEN 0 THEN 'Ada' WHEN 1 THEN 'Bo_Li' ELSE '100%' END || '"}}',
              CASE n % 4 WHEN 0 THEN '{{"plate.row":"P:' || (n % 7) || '"}}' END,
              1795000000000 + n * 3600000, 1795000000000 + n * 3600000
-         FROM k, (SELECT * FROM weighing LIMIT 1)"#
+         FROM k, (SELECT * FROM weighing LIMIT 1) AS first"#
     );
     sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&pool).await.unwrap();
     pool.close().await;

@@ -322,8 +322,7 @@ async fn a_write_lock_that_another_process_holds_delays_no_stop() {
     let _held = service.hold_bench();
     let id = pouring(&service).await;
     let token = service.token(Role::Operator).await;
-    let pool = flip_testing::pool(service.folder()).await;
-    let lock = pool.begin_with("BEGIN IMMEDIATE").await.unwrap();
+    let lock = flip_testing::locked(service.folder()).await;
     let (status, bench) = stop(&service, &token).await;
     assert_eq!(status, 200, "{bench}");
     lock.rollback().await.unwrap();

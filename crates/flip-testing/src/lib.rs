@@ -64,6 +64,16 @@ pub async fn pool(data_dir: &Path) -> AnyPool {
     AnyPoolOptions::new().max_connections(2).connect(&url).await.unwrap()
 }
 
+/// SQL with bytes as SQLite writes them (`x'00'`, `zeroblob(32)`), for the database that tests run
+/// on.
+pub fn with_bytes(sql: &str) -> String {
+    if !on_postgres() {
+        return sql.to_owned();
+    }
+    sql.replace("zeroblob(32)", "decode(repeat('00', 32), 'hex')")
+        .replace("x'00'", "decode('00', 'hex')")
+}
+
 /// A transaction that holds the lock of all writers, as another program might.
 ///
 /// # Panics
