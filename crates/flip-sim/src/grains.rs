@@ -5,7 +5,7 @@ mod probes;
 use super::constraints::{Vector, add, choose, dot, scale, splat};
 use super::contacts::{self, Predicted, Sums, Turn};
 use super::grid::held;
-use super::lanes::{Avx2, Avx512, Counting, Lanes, Mask, Path, Portable, WIDTH, block, block_mut};
+use super::lanes::{Computation, Counting, Lanes, Mask, Path, WIDTH, block, block_mut};
 use super::law::Law;
 use super::neighbours::{FAR, Neighbours};
 use super::pairs::NEW;
@@ -48,6 +48,27 @@ pub(super) struct Grains {
     path: Path,
     scratch: Vec<Vector>,
     numbers: Vec<u32>,
+}
+
+/// One substep, on any path.
+struct Substep<'a> {
+    grains: &'a mut Grains,
+    law: &'a Law,
+    acceleration: Vector,
+    wall: &'a Shape,
+}
+
+impl Computation for Substep<'_> {
+    type Output = ();
+    #[allow(clippy::inline_always)] // See `lanes`.
+    #[inline(always)]
+    fn with<L: Lanes>(self) {
+        let Self { grains, law, acceleration, wall } = self;
+        match law.extended {
+            false => grains.advance::<L, false>(law, acceleration, wall),
+            true => grains.advance::<L, true>(law, acceleration, wall),
+        }
+    }
 }
 
 /// A grain that left the scene.
@@ -174,38 +195,12 @@ impl Grains {
     /// grain in list order, so the result does not depend on the processor or on threads. Both
     /// grains of a pair receive exactly opposite corrections.
     pub(super) fn substep(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
-        #[allow(unsafe_code)]
-        match self.path {
-            Path::Portable => self.advance_any::<Portable>(law, acceleration, wall),
-            // SAFETY: a path is chosen only on a processor that supports it.
-            Path::Avx2 => unsafe { self.advance_avx2(law, acceleration, wall) },
-            // SAFETY: as above.
-            Path::Avx512 => unsafe { self.advance_avx512(law, acceleration, wall) },
-        }
+        self.path.run(Substep { grains: self, law, acceleration, wall });
     }
 
     /// Like [`Self::substep`], adding to the thread's [`super::Work`].
     pub(super) fn substep_counted(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
         self.advance::<Counting, false>(law, acceleration, wall);
-    }
-
-    #[target_feature(enable = "avx2,popcnt,bmi1,bmi2")]
-    fn advance_avx2(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
-        self.advance_any::<Avx2>(law, acceleration, wall);
-    }
-
-    #[target_feature(enable = "avx512f,popcnt,bmi1,bmi2")]
-    fn advance_avx512(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
-        self.advance_any::<Avx512>(law, acceleration, wall);
-    }
-
-    #[allow(clippy::inline_always)] // See `lanes`.
-    #[inline(always)]
-    fn advance_any<L: Lanes>(&mut self, law: &Law, acceleration: Vector, wall: &Shape) {
-        match law.extended {
-            false => self.advance::<L, false>(law, acceleration, wall),
-            true => self.advance::<L, true>(law, acceleration, wall),
-        }
     }
 
     #[allow(clippy::inline_always)] // See `lanes`.

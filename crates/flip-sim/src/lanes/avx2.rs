@@ -1,7 +1,13 @@
 //! Sixteen lanes as two AVX2 registers.
 
-use super::{Add, Div, Lanes, Mask, Mul, Sub, Vector, WIDTH};
+use super::{Add, Computation, Div, Lanes, Mask, Mul, Sub, Vector, WIDTH};
 use std::arch::x86_64::*;
+
+/// Computes with AVX2.
+#[target_feature(enable = "avx2,popcnt,bmi1,bmi2")]
+pub(super) fn run<C: Computation>(computation: C) -> C::Output {
+    computation.with::<Avx2>()
+}
 
 /// The AVX2 implementation, in two halves. Values of this type are created only in functions that
 /// are compiled for AVX2 and entered after checking that the processor supports it

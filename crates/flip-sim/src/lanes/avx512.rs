@@ -1,7 +1,13 @@
 //! Sixteen lanes as one AVX-512 register.
 
-use super::{Add, Div, Lanes, Mask, Mul, Sub, Vector, WIDTH};
+use super::{Add, Computation, Div, Lanes, Mask, Mul, Sub, Vector, WIDTH};
 use std::arch::x86_64::*;
+
+/// Computes with AVX-512F.
+#[target_feature(enable = "avx512f,popcnt,bmi1,bmi2")]
+pub(super) fn run<C: Computation>(computation: C) -> C::Output {
+    computation.with::<Avx512>()
+}
 
 /// The AVX-512F implementation. Values of this type are created only in functions that are compiled
 /// for AVX-512F and entered after checking that the processor supports it

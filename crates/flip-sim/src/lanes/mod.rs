@@ -6,13 +6,13 @@
 #![allow(unsafe_code)] // Processor intrinsics; every block says why it is sound.
 #![allow(clippy::inline_always)] // A function that is not inlined into its `target_feature` caller is compiled without the feature.
 
+#[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "x86_64")]
 mod avx512;
 mod counting;
 pub(super) mod peak;
 
-pub(super) use avx2::Avx2;
-pub(super) use avx512::Avx512;
 pub use counting::Work;
 pub(super) use counting::{Counting, counted};
 
@@ -127,6 +127,14 @@ pub(super) fn block_mut(from: &mut [Vector], b: usize) -> &mut [Vector; WIDTH] {
     (&mut from[b * WIDTH..(b + 1) * WIDTH]).try_into().expect("the slice has the width of a block")
 }
 
+/// A computation that is written once for lanes of every kind.
+pub(super) trait Computation {
+    /// Its result.
+    type Output;
+    /// Computes with these lanes; to be inlined, so that it is compiled for a path's features.
+    fn with<L: Lanes>(self) -> Self::Output;
+}
+
 /// The implementation in use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Path {
@@ -141,16 +149,37 @@ pub(super) enum Path {
 impl Path {
     /// All paths, narrowest first, and whether this processor supports them.
     fn all() -> [(&'static str, Self, bool); 3] {
-        // Every processor with AVX2 has these; without them the compiler counts the bits of a mask
-        // ten times more slowly.
-        let bits = std::arch::is_x86_feature_detected!("popcnt")
-            && std::arch::is_x86_feature_detected!("bmi1")
-            && std::arch::is_x86_feature_detected!("bmi2");
+        #[cfg(target_arch = "x86_64")]
+        let (avx2, avx512) = {
+            use std::arch::is_x86_feature_detected;
+            // Every processor with AVX2 has these; without them the compiler counts the bits of a
+            // mask ten times more slowly.
+            let bits = is_x86_feature_detected!("popcnt")
+                && is_x86_feature_detected!("bmi1")
+                && is_x86_feature_detected!("bmi2");
+            (bits && is_x86_feature_detected!("avx2"), bits && is_x86_feature_detected!("avx512f"))
+        };
+        #[cfg(not(target_arch = "x86_64"))]
+        let (avx2, avx512) = (false, false);
         [
             ("portable", Self::Portable, true),
-            ("avx2", Self::Avx2, bits && std::arch::is_x86_feature_detected!("avx2")),
-            ("avx512", Self::Avx512, bits && std::arch::is_x86_feature_detected!("avx512f")),
+            ("avx2", Self::Avx2, avx2),
+            ("avx512", Self::Avx512, avx512),
         ]
+    }
+
+    /// Computes on this path.
+    #[inline]
+    pub(super) fn run<C: Computation>(self, computation: C) -> C::Output {
+        match self {
+            // SAFETY: a path is chosen only on a processor that supports it.
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => unsafe { avx2::run(computation) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => unsafe { avx512::run(computation) },
+            _ => computation.with::<Portable>(),
+        }
     }
 
     /// The name used by `FLIP_SIMD`.
@@ -319,27 +348,21 @@ mod tests {
         out
     }
 
-    #[target_feature(enable = "avx2")]
-    fn everything_avx2(seed: u64) -> Vec<u32> {
-        everything::<Avx2>(seed)
-    }
+    struct Everything(u64);
 
-    #[target_feature(enable = "avx512f")]
-    fn everything_avx512(seed: u64) -> Vec<u32> {
-        everything::<Avx512>(seed)
+    impl Computation for Everything {
+        type Output = Vec<u32>;
+        #[inline(always)]
+        fn with<L: Lanes>(self) -> Vec<u32> {
+            everything::<L>(self.0)
+        }
     }
 
     #[test]
     fn every_path_gives_the_same_bits() {
         for path in Path::available().skip(1) {
             for seed in 0..200 {
-                // SAFETY: the processor supports this path.
-                let wide = unsafe {
-                    match path {
-                        Path::Avx512 => everything_avx512(seed),
-                        _ => everything_avx2(seed),
-                    }
-                };
+                let wide = path.run(Everything(seed));
                 assert_eq!(everything::<Portable>(seed), wide, "{path:?}, seed {seed}");
             }
         }
