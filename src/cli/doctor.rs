@@ -105,16 +105,11 @@ fn processor() -> Finding {
 
 /// The widest vectors that the simulator computes with on this machine.
 fn vectors() -> &'static str {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if std::is_x86_feature_detected!("avx512f") {
-            return "AVX-512";
-        }
-        if std::is_x86_feature_detected!("avx2") {
-            return "AVX2: the simulator takes some 1.6 times as long as with AVX-512";
-        }
+    match flip_sim::column::path() {
+        "avx512" => "AVX-512",
+        "avx2" => "AVX2: the simulator takes some 1.6 times as long as with AVX-512",
+        _ => "neither AVX-512 nor AVX2: the simulator takes several times as long",
     }
-    "neither AVX-512 nor AVX2: the simulator takes several times as long"
 }
 
 fn memory() -> Finding {
