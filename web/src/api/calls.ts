@@ -169,6 +169,8 @@ export const filmGrains = (id: string): Promise<ArrayBuffer> =>
   body(client.GET('/v1/films/{id}/grains', { params: at(id), parseAs: 'arrayBuffer' })) as Promise<unknown> as Promise<ArrayBuffer>
 
 export const jobs = (query: LabelledQuery & { kind?: T.JobKind; state?: T.JobState; label?: string } = {}) => body(client.GET('/v1/jobs', { params: { query } }))
+/** The processes that compute them; a service that does not answer within this time counts as not responding. */
+export const workers = (patience_ms: number) => body(client.GET('/v1/workers', { signal: AbortSignal.timeout(patience_ms) }))
 export const cancelJob = (id: string) => body(client.POST('/v1/jobs/{id}/cancel', { params: at(id) }))
 /** The same inputs as a failed or cancelled job, as a new job. */
 export const startAgain = (id: string) => body(client.POST('/v1/jobs/{id}/again', { params: at(id) }))

@@ -87,3 +87,4 @@ export type VialReadyRequest = Schemas['VialReadyRequest']
 export type Waiting = Schemas['Waiting']
 export type Weighing = Schemas['Labelled_Weighing'] & { measured?: MeasuredMass | null }
 export type WeighingRequest = Schemas['WeighingRequest']
+export type Worker = Schemas['Worker']
