@@ -3,7 +3,7 @@
 
 Suites that talk to emulated devices, services and a browser within deadlines run one after another. They mostly wait; what
 they leave of the processor goes to the suites that only compute, two at a time in the scheduler's idle class, which gives way at once.
-The suites of the database run on SQLite, and once more on a private PostgreSQL, beside those of the browser.
+The store's and the application's run on SQLite, and once more on a private PostgreSQL.
 Every suite's output is in target/test/SUITE.log.
 """
 import concurrent.futures
@@ -27,7 +27,6 @@ CARGO = ["cargo", "test", "--locked", "--workspace", "--exclude", "flip-experime
 DATABASE = {
     "flip_store": [],
     "app": ["calibration::", "limits::", "simulator::", "spoons::", "training"],
-    "api": ["characterisations::", "comparison::", "films::", "investigations::"],
 }
 ON_POSTGRES = "_on_postgresql"
 # Suites that only compute, the longest first. A gate has its compiler's warnings looked for meanwhile, too: `make check` then finds them.
@@ -107,18 +106,14 @@ def main():
             if status != 0:
                 print((LOGS / f"{name}.log").read_text(errors="replace"), flush=True)
 
-    with concurrent.futures.ThreadPoolExecutor(2) as pool, concurrent.futures.ThreadPoolExecutor(1) as beside:
-        later = [pool.submit(work, name, IDLE) for name in COMPUTE if name in suites]
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
+        computing = [pool.submit(work, name, IDLE) for name in COMPUTE if name in suites]
         for name in suites:
             if name == "clients" and clients:
                 clients.wait()
-            if name == "page":
-                later += [beside.submit(work, it) for it in suites if it.endswith(ON_POSTGRES)]
-            if name not in COMPUTE and not name.endswith(ON_POSTGRES):
+            if name not in COMPUTE:
                 work(name)
-        if "page" not in suites:
-            later += [beside.submit(work, it) for it in suites if it.endswith(ON_POSTGRES)]
-        for suite in later:
+        for suite in computing:
             suite.result()
     print(f"the {SLOWEST} slowest tests:")
     for seconds, test in sorted((it for result in results.values() for it in result[4]), reverse=True)[:SLOWEST]:
