@@ -3,8 +3,9 @@
 use crate::harness::{document, expect_status, flip, stderr};
 use serde_json::Value;
 
-const COMMANDS: [&str; 26] = [
+const COMMANDS: [&str; 28] = [
     "serve",
+    "worker",
     "demo",
     "heap",
     "validate",
@@ -26,6 +27,7 @@ const COMMANDS: [&str; 26] = [
     "export",
     "backup",
     "restore",
+    "migrate",
     "doctor",
     "config",
     "completions",

@@ -55,8 +55,9 @@ const THERE: [&str; 44] = [
 ];
 
 /// Commands that do not.
-const HERE: [&str; 26] = [
+const HERE: [&str; 28] = [
     "serve",
+    "worker",
     "demo",
     "observe drained",
     "heap",
@@ -71,6 +72,7 @@ const HERE: [&str; 26] = [
     "audit archive --before 2026-01-01",
     "backup x",
     "restore x",
+    "migrate --from x --to postgres://x/y",
     "emulate lab --out x",
     "emulate balance",
     "emulate arm",

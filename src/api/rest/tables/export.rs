@@ -19,8 +19,8 @@ use tower::ServiceExt;
 
 pub use super::Format;
 
-/// Lists for admins alone, which are no results.
-const OF_ADMINS: [&str; 2] = ["/v1/tokens", "/v1/webhooks"];
+/// Lists that are no results: what admins see, and who computes at the moment.
+const NO_RESULTS: [&str; 3] = ["/v1/tokens", "/v1/webhooks", "/v1/workers"];
 
 /// What an export wrote.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -123,7 +123,7 @@ pub async fn export(
     let paths = DOCUMENT["paths"].as_object().into_iter().flat_map(|paths| paths.keys());
     // `audit.json` is `audit` in one piece.
     let exported = |path: &&String| {
-        !path.contains('.') && !OF_ADMINS.contains(&path.as_str()) && is_list(&DOCUMENT, path)
+        !path.contains('.') && !NO_RESULTS.contains(&path.as_str()) && is_list(&DOCUMENT, path)
     };
     for path in paths.filter(exported) {
         if let Some((file, columns)) = export.table(path).await? {
