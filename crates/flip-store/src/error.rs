@@ -166,11 +166,14 @@ impl From<sqlx::Error> for Error {
         if matches!(error, sqlx::Error::PoolTimedOut) {
             return Self::Busy;
         }
-        if let sqlx::Error::Tls(why) = &error {
-            return Self::Server(why.to_string());
-        }
-        if matches!(error, sqlx::Error::Io(_)) {
-            return Self::Unreachable(error.to_string());
+        match &error {
+            sqlx::Error::Tls(why) => return Self::Server(why.to_string()),
+            // Its certificate is not the one that was expected: waiting mends nothing.
+            sqlx::Error::Io(why) if why.kind() == std::io::ErrorKind::InvalidData => {
+                return Self::Server(why.to_string());
+            }
+            sqlx::Error::Io(_) => return Self::Unreachable(error.to_string()),
+            _ => {}
         }
         if let Some(state) = state(&error) {
             return Self::of_state(&state, error);
