@@ -39,7 +39,7 @@ impl Default for Crew {
 }
 
 /// Whether this program can compute jobs of this kind: one without libtorch cannot train.
-pub fn can_compute(kind: JobKind) -> bool {
+fn can_compute(kind: JobKind) -> bool {
     cfg!(feature = "learn") || kind != JobKind::Training
 }
 

@@ -45,14 +45,15 @@ pub(super) async fn work(shared: Arc<Shared>) {
     let mut events = shared.store.watch_events();
     let mut heard = Instant::now();
     while !shared.closing.is_cancelled() {
+        // Before looking: what comes while it looks is a reason to look again.
+        events.borrow_and_update();
         if let Err(error) = start_waiting(&shared).await {
             tracing::warn!(%error, "waiting jobs were not started; the next try may");
         }
-        if shared.store.is_shared() {
-            events.borrow_and_update();
-            if let Err(error) = hear_others(&shared, &mut heard).await {
-                tracing::warn!(%error, "other processes were not heard; the next try may");
-            }
+        if shared.store.is_shared()
+            && let Err(error) = hear_others(&shared, &mut heard).await
+        {
+            tracing::warn!(%error, "other processes were not heard; the next try may");
         }
         tokio::select! {
             () = shared.closing.cancelled() => {}

@@ -115,14 +115,6 @@ impl Store {
         })
     }
 
-    /// As [`Self::open`], of a database at this address.
-    ///
-    /// # Errors
-    /// Those of [`Self::open`].
-    pub async fn open_on(database_url: &str, folder: &Path) -> Result<Self> {
-        Self::open(Storage::on_server(database_url, folder)?).await
-    }
-
     /// Open what is there read-only, even while another process writes.
     ///
     /// A file of an older FLIP is left as it is, and a migrated copy of it, as of this moment, is

@@ -304,7 +304,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (ours, theirs) = (folder.path().join("sqlite"), folder.path().join("postgres"));
         let ours = Store::open(&ours).await.unwrap();
-        let theirs = Store::open_on(&cluster.database_of(&theirs).await, &theirs).await.unwrap();
+        let theirs = testing::open_on(&cluster.database_of(&theirs).await, &theirs).await.unwrap();
         let columns = async |store: &Store, sql: &'static str| -> BTreeMap<String, Vec<String>> {
             let mut found = BTreeMap::<_, Vec<_>>::new();
             for row in sqlx::query(sql).fetch_all(&store.reader).await.unwrap() {
@@ -330,7 +330,7 @@ mod tests {
         let Some(cluster) = cluster() else { return };
         let folder = tempfile::tempdir().unwrap();
         let url = cluster.database_of(folder.path()).await;
-        let store = Store::open_on(&url, folder.path()).await.unwrap();
+        let store = testing::open_on(&url, folder.path()).await.unwrap();
         let mut heard = store.watch_events();
         let mut other = PgConnection::connect(&url).await.unwrap();
         let before = *heard.borrow_and_update();
@@ -350,7 +350,7 @@ mod tests {
         }
         assert_eq!(*heard.borrow_and_update(), before + 2);
         let elsewhere = tempfile::tempdir().unwrap();
-        let second = Store::open_on(&url, elsewhere.path()).await;
+        let second = testing::open_on(&url, elsewhere.path()).await;
         assert!(matches!(second, Err(Error::Held(_))), "{second:?}");
         let mut tx = other.begin_with(BEGIN).await.unwrap();
         tx.execute("SELECT pg_advisory_xact_lock(1179404624)").await.unwrap();
@@ -371,7 +371,7 @@ mod tests {
         let Some(cluster) = cluster() else { return };
         let folder = tempfile::tempdir().unwrap();
         let url = cluster.database_of(folder.path()).await;
-        let store = Store::open_on(&url, folder.path()).await.unwrap();
+        let store = testing::open_on(&url, folder.path()).await.unwrap();
         let mut other = PgConnection::connect(&url).await.unwrap();
         let cut = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
                    WHERE datname = current_database() AND pid <> pg_backend_pid()";
@@ -390,9 +390,9 @@ mod tests {
         let newer = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
                      VALUES (99, 'later', true, ''::bytea, 0)";
         other.execute(newer).await.unwrap();
-        let refused = Store::open_on(&url, folder.path()).await.err();
+        let refused = testing::open_on(&url, folder.path()).await.err();
         assert!(matches!(refused, Some(Error::Newer(99))), "{refused:?}");
-        let refused = Store::open_on("mysql://root@localhost/x", folder.path()).await.err();
+        let refused = testing::open_on("mysql://root@localhost/x", folder.path()).await.err();
         assert!(matches!(refused, Some(Error::Server(_))), "{refused:?}");
     }
 
@@ -410,7 +410,7 @@ mod tests {
         other.execute(AssertSqlSafe(careless)).await.unwrap();
         // A service opens it on whatever thread is free.
         let path = folder.path().to_owned();
-        let opened = tokio::spawn(async move { Store::open_on(&url, &path).await });
+        let opened = tokio::spawn(async move { testing::open_on(&url, &path).await });
         let store = opened.await.unwrap().unwrap();
         let set: String = sqlx::query_scalar("SELECT current_setting('synchronous_commit')")
             .fetch_one(store.writer().unwrap())
@@ -427,7 +427,7 @@ mod tests {
         let cluster = std::sync::Arc::new(testing::Cluster::start(true).unwrap());
         let folder = tempfile::tempdir().unwrap();
         let url = cluster.database_of(folder.path()).await;
-        let store = Store::open_on(&url, folder.path()).await.unwrap();
+        let store = testing::open_on(&url, folder.path()).await.unwrap();
         let mut heard = store.watch_events();
         let record = async || {
             let mut tx = store.write().await?;
@@ -462,7 +462,7 @@ mod tests {
         let health = store.health().await;
         assert!(health.lock.ok && health.database.ok, "{health:?}");
         let elsewhere = tempfile::tempdir().unwrap();
-        let second = Store::open_on(&url, elsewhere.path()).await;
+        let second = testing::open_on(&url, elsewhere.path()).await;
         assert!(matches!(second, Err(Error::Held(_))), "{second:?}");
         // And events of others are heard again.
         heard.borrow_and_update();

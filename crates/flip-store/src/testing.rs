@@ -10,6 +10,11 @@ pub(super) async fn open(data_dir: &Path) -> Result<Store> {
     Store::open(storage(data_dir).await).await
 }
 
+/// Open the database at this address, whatever the tests run on.
+pub(super) async fn open_on(database_url: &str, data_dir: &Path) -> Result<Store> {
+    Store::open(Storage::on_server(database_url, data_dir)?).await
+}
+
 /// Where the store of this data folder is.
 pub(super) async fn storage(data_dir: &Path) -> Storage {
     match flip_testing::database_url(data_dir).await {
