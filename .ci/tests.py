@@ -20,7 +20,7 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 LOGS = ROOT / "target/test"
-# Examples are compiled by `make lint`.
+# Examples are compiled by `make lint`, flip-python by the suite of clients, which tests its wheel.
 CARGO = ["cargo", "test", "--locked", "--workspace", "--exclude", "flip-experiments", "--exclude", "flip-python", "--lib", "--bins", "--tests"]
 
 # Suites that also run on PostgreSQL; there without those tests that compute most of the time, whatever the database.
@@ -82,7 +82,7 @@ def run(name, command, folder):
     text = log.read_text(errors="replace")
     passed = sum(int(n) for n in re.findall(r"^test result: \w+\. (\d+) passed", text, re.M))
     passed += sum(int(n) for n in re.findall(r"^\S+ pass (\d+)$", text, re.M))
-    passed += len(re.findall(r"\.\.\. ok$", text, re.M)) if name == "clients" else 0
+    passed += len(re.findall(r"(?:^|\.\.\. )ok$", text, re.M)) if name == "clients" else 0
     times = re.findall(r"^test (.+) \.\.\. .*<([\d.]+)s>", text, re.M)
     times += [(test, float(ms) / 1000) for test, ms in re.findall(r"^ *✔ (.+) \(([\d.]+)ms\)$", text, re.M)]
     return status, time.monotonic() - start, used.ru_utime + used.ru_stime, passed, [(float(seconds), f"{name}: {test}") for test, seconds in times]

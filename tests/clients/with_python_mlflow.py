@@ -28,7 +28,7 @@ with tempfile.TemporaryDirectory() as folder, Client(url, token) as flip:
     run = flip_mlflow.log_weighings(flip.weighings())
     found["weighings"] = [service.get_run(run).data.metrics["target_mg"], [it.path for it in service.list_artifacts(run)]]
     found["error"] = service.get_run(run).data.metrics["mean_absolute_error_mg"] == abs(dose.error_mg or 0.0)
-    run = flip_mlflow.log_evaluation(flip, ran("/v1/evaluations", powders=[powder], targets_mg=[5], repeats=2, controllers=["paced"]))
+    run = flip_mlflow.log_evaluation(flip, ran("/v1/evaluations", powders=[powder], targets_mg=[5], repeats=2, controllers=["paced"], particles=500))
     found["evaluation"] = service.get_run(run).data.metrics["paced.mae_mg"] < 5.0
     run = flip_mlflow.log_training(flip, ran("/v1/trainings", powders=[powder], episodes=20, surrogate_episodes=20))
     history = service.get_metric_history(run, "final_error_mg")
