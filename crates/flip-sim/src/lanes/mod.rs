@@ -12,11 +12,13 @@ mod avx2;
 mod avx512;
 mod counting;
 pub(super) mod peak;
+mod portable;
 
 pub use counting::Work;
 pub(super) use counting::{Counting, counted};
 
 use super::constraints::Vector;
+pub(super) use portable::Portable;
 use std::ops::{Add, Div, Mul, Sub};
 use std::sync::OnceLock;
 
@@ -207,84 +209,6 @@ impl Path {
                 .map(|(_, path, _)| path);
             named.or(Self::available().last()).unwrap_or(Self::Portable)
         })
-    }
-}
-
-/// The portable implementation.
-#[derive(Clone, Copy)]
-#[repr(align(64))]
-pub(super) struct Portable([f32; WIDTH]);
-
-impl Portable {
-    #[inline(always)]
-    fn each(mut value: impl FnMut(usize) -> f32) -> Self {
-        let mut out = [0.0; WIDTH];
-        for (lane, out) in out.iter_mut().enumerate() {
-            *out = value(lane);
-        }
-        Self(out)
-    }
-}
-
-macro_rules! portable {
-    ($($trait:ident $method:ident $operator:tt),*) => {$(
-        impl $trait for Portable {
-            type Output = Self;
-            #[inline(always)]
-            fn $method(self, other: Self) -> Self {
-                Self::each(|l| self.0[l] $operator other.0[l])
-            }
-        }
-    )*};
-}
-portable!(Add add +, Sub sub -, Mul mul *, Div div /);
-
-impl Lanes for Portable {
-    #[inline(always)]
-    fn splat(x: f32) -> Self {
-        Self([x; WIDTH])
-    }
-    #[inline(always)]
-    fn load(x: &[f32; WIDTH]) -> Self {
-        Self(*x)
-    }
-    #[inline(always)]
-    fn store(self, to: &mut [f32; WIDTH]) {
-        *to = self.0;
-    }
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        Self::each(|l| if self.0[l] > other.0[l] { self.0[l] } else { other.0[l] })
-    }
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        Self::each(|l| if self.0[l] < other.0[l] { self.0[l] } else { other.0[l] })
-    }
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        Self::each(|l| self.0[l].sqrt())
-    }
-    #[inline(always)]
-    fn below(self, other: Self) -> Mask {
-        (0..WIDTH).fold(0, |mask, l| mask | (Mask::from(self.0[l] < other.0[l]) << l))
-    }
-    #[inline(always)]
-    fn select(mask: Mask, yes: Self, no: Self) -> Self {
-        Self::each(|l| if mask >> l & 1 == 1 { yes.0[l] } else { no.0[l] })
-    }
-    #[inline(always)]
-    fn rows(from: &[Vector; WIDTH]) -> [Self; 4] {
-        [0, 1, 2, 3].map(|k| Self::each(|l| from[l][k]))
-    }
-    #[inline(always)]
-    fn write_rows(components: [Self; 4], to: &mut [Vector; WIDTH]) {
-        for (l, to) in to.iter_mut().enumerate() {
-            *to = components.map(|component| component.0[l]);
-        }
-    }
-    #[inline(always)]
-    unsafe fn gather(from: &[Vector], index: &[u32; WIDTH]) -> [Self; 4] {
-        Self::rows(&index.map(|i| from[i as usize]))
     }
 }
 
