@@ -9,6 +9,9 @@
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
+# make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone (ARGS='--episodes 40': a few minutes)
+# make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped: hours (ARGS='10 1': a tenth of the faults, seed)
+# make slim       the program without training and libtorch, and the Python wheel: their sizes
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
 # make pictures   the pictures of the page in README and docs, of doses it has weighed on the emulated bench: about five minutes
 # make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
@@ -21,7 +24,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop page-report pictures proto dist lint check
+.PHONY: run test laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop cluster faults slim page-report pictures proto dist lint check
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -157,6 +160,28 @@ pictures: setup web chromium
 
 bench-stop: setup
 	cargo bench --locked --bench stop_latency $(ARGS)
+
+FLIP_BUILT = FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
+
+cluster: setup postgres
+	cargo build --release --locked --bin flip --example cluster
+	$(FLIP_BUILT) cargo run --quiet --release --locked --example cluster -- demonstration $(ARGS)
+
+faults: setup postgres
+	cargo build --release --locked --bin flip --example cluster
+	$(FLIP_BUILT) cargo run --quiet --release --locked --example cluster -- faults $(ARGS)
+
+# What has training stays where it was.
+slim: setup
+	release="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release"
+	[ ! -e "$$release/flip" ] || cp -p "$$release/flip" "$$release/flip-with-training"
+	cargo build --release --locked --no-default-features --bin flip
+	mv "$$release/flip" "$$release/flip-slim"
+	[ ! -e "$$release/flip-with-training" ] || mv "$$release/flip-with-training" "$$release/flip"
+	! ldd "$$release/flip-slim" | grep torch
+	python3 python/build.py
+	strip -o "$$release/flip-slim-stripped" "$$release/flip-slim"
+	du --apparent-size --block-size=1000 "$$release/flip-slim" "$$release/flip-slim-stripped" | sed 's/\t/ kB\t/'
 
 training-report: setup
 	cargo build --release --locked

@@ -186,8 +186,20 @@ impl Cluster {
     /// # Panics
     /// When it does not start.
     pub fn crash(&self) {
+        self.restarted("immediate");
+    }
+
+    /// End the server, which rolls back what is under way, and start it again.
+    ///
+    /// # Panics
+    /// When it does not start.
+    pub fn restart(&self) {
+        self.restarted("fast");
+    }
+
+    fn restarted(&self, mode: &str) {
         let pg_ctl = self.programs.join("pg_ctl").into_os_string();
-        let restart = ["-w", "-m", "immediate", "restart", "-l"];
+        let restart = ["-w", "-m", mode, "restart", "-l"];
         run(as_other(pg_ctl)
             .args(restart)
             .arg(self.folder.join("log"))

@@ -1,0 +1,328 @@
+//! Mixed jobs while servers, workers and the database are killed, restarted and stopped at random:
+//! nothing is lost, nothing doubled, and every result is that of one undisturbed process.
+
+use super::process::{Flip, LOOK, Process, Server};
+use anyhow::{Context, Result, bail, ensure};
+use flip_testing::Cluster;
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use reqwest::Client;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tokio::time::sleep;
+
+/// What is done to a part, and how often in the whole campaign.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Fault {
+    KillWorker,
+    KillServer,
+    StopWorker,
+    RestartDatabase,
+    CrashDatabase,
+}
+
+const ALL: [(Fault, &str, u32); 5] = [
+    (Fault::KillWorker, "kill -9 of a worker", 700),
+    (Fault::KillServer, "kill -9 of a server", 300),
+    (Fault::StopWorker, "a worker stopped for 60 s, which then goes on", 100),
+    (Fault::RestartDatabase, "PostgreSQL restarted", 100),
+    (Fault::CrashDatabase, "PostgreSQL killed", 20),
+];
+
+/// How long a stopped worker stands still.
+const STOPPED: Duration = Duration::from_secs(60);
+/// Jobs that are kept waiting or running.
+const OPEN: usize = 4;
+/// How long the last jobs may take to end, and how long a request is tried.
+const END: Duration = Duration::from_secs(900);
+const TRY: Duration = Duration::from_secs(120);
+
+pub(super) async fn run(
+    flip: &Flip,
+    cluster: &Cluster,
+    folder: &Path,
+    arguments: &[String],
+) -> Result<()> {
+    let number = |k: usize, usual: u64| arguments.get(k).map_or(Ok(usual), |text| text.parse());
+    let (share, seed) = (number(0, 100)? as f64 / 100.0, number(1, 1)?);
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let times = |many: u32| (f64::from(many) * share).ceil() as usize;
+    let mut faults: Vec<Fault> =
+        ALL.iter().flat_map(|&(fault, _, many)| vec![fault; times(many)]).collect();
+    faults.shuffle(&mut rng);
+    println!("{} faults, seed {seed}", faults.len());
+
+    let began = Instant::now();
+    let mut site = Site::start(flip, Client::builder().timeout(Duration::from_secs(5)).build()?);
+    site.prepare().await?;
+    let mut done = BTreeMap::<Fault, u32>::new();
+    for (k, &fault) in faults.iter().enumerate() {
+        site.mend()?;
+        site.feed().await?;
+        sleep(Duration::from_millis(rng.random_range(100..1500))).await;
+        site.inflict(fault, cluster, &mut rng)?;
+        *done.entry(fault).or_default() += 1;
+        if k % 50 == 49 {
+            let (asked, seconds) = (site.asked.len(), began.elapsed().as_secs());
+            eprintln!("{} faults, {asked} jobs, {seconds} s", k + 1);
+        }
+    }
+    site.settle().await?;
+    let results = site.results().await?;
+    let asked = std::mem::take(&mut site.asked);
+    site.end()?;
+    ensure!(flip.asked(&["doctor"])?.is_some(), "flip doctor is not content");
+    let alone = alone(flip, folder, &asked).await?;
+
+    println!("| fault | how often |\n|---|---|");
+    for (fault, name, _) in ALL {
+        println!("| {name} | {} |", done.get(&fault).unwrap_or(&0));
+    }
+    let equal = results.iter().zip(&alone).filter(|(here, there)| here == there).count();
+    let seconds = began.elapsed().as_secs();
+    println!("\n{} jobs in {seconds} s: all succeeded, {equal} with the result of one undisturbed process; flip doctor is content", asked.len());
+    ensure!(equal == asked.len(), "results differ");
+    Ok(())
+}
+
+/// A job as it was asked for.
+struct Asked {
+    path: &'static str,
+    body: Value,
+    id: String,
+}
+
+/// All processes, and what was asked of them.
+struct Site<'a> {
+    flip: &'a Flip,
+    client: Client,
+    servers: Vec<Server>,
+    workers: Vec<(Process, Option<Instant>)>,
+    started: u32,
+    token: String,
+    policy: String,
+    asked: Vec<Asked>,
+}
+
+impl<'a> Site<'a> {
+    fn start(flip: &'a Flip, client: Client) -> Self {
+        let (servers, workers) = (Vec::new(), Vec::new());
+        let (token, policy, asked) = (String::new(), String::new(), Vec::new());
+        Self { flip, client, servers, workers, started: 0, token, policy, asked }
+    }
+
+    /// Starts everything, and makes what the jobs need.
+    async fn prepare(&mut self) -> Result<()> {
+        self.servers.push(Server::of(self.flip.server("north")?));
+        while self.servers[0].said().is_none() {
+            ensure!(!self.servers[0].has_ended()?, "the first server did not start");
+            sleep(LOOK).await;
+        }
+        let said = self.servers[0].said().context("what the first server said")?;
+        self.token = said["token"].as_str().context("the first token")?.to_owned();
+        self.servers.push(Server::of(self.flip.server("south")?));
+        self.mend()?;
+        let policies = self.get("/v1/policies").await?;
+        self.policy = policies["items"][0]["id"].as_str().context("a policy")?.to_owned();
+        let (path, body) = sand();
+        self.ask(path, body).await?;
+        self.settle().await
+    }
+
+    /// Starts again what has ended, and lets those go on that have stood still for long enough.
+    fn mend(&mut self) -> Result<()> {
+        for (server, bench) in self.servers.iter_mut().zip(["north", "south"]) {
+            if server.has_ended()? {
+                *server = Server::of(self.flip.server(bench)?);
+            }
+        }
+        for (worker, stopped) in &mut self.workers {
+            if stopped.is_some_and(|since| since.elapsed() > STOPPED) {
+                worker.signal("CONT")?;
+                *stopped = None;
+            }
+        }
+        let mut there = Vec::new();
+        for (mut worker, stopped) in self.workers.drain(..) {
+            if worker.0.try_wait()?.is_none() {
+                there.push((worker, stopped));
+            }
+        }
+        self.workers = there;
+        while self.workers.iter().filter(|it| it.1.is_none()).count() < 3 {
+            self.started += 1;
+            self.workers.push((self.flip.worker(&format!("worker-{}", self.started))?, None));
+        }
+        Ok(())
+    }
+
+    /// Keeps a few jobs open.
+    async fn feed(&mut self) -> Result<()> {
+        for _ in self.open().await?..OPEN {
+            let (path, body) = self.next();
+            self.ask(path, body).await?;
+        }
+        Ok(())
+    }
+
+    /// The next job: none depends on one before.
+    fn next(&self) -> (&'static str, Value) {
+        let k = self.asked.len();
+        match k % 3 {
+            0 => {
+                let (path, mut body) = sand();
+                let object = body.as_object_mut().expect("an object");
+                object.remove("powder");
+                object.insert("repose_deg".into(), json!(27.0 + (k % 7) as f64 / 2.0));
+                object.insert("seed".into(), json!(k));
+                (path, body)
+            }
+            1 => (
+                "evaluations",
+                json!({ "policy": self.policy, "controllers": ["fixed"], "powders": ["sand"], "targets_mg": [10], "repeats": 4, "particles": 1000, "seed": k }),
+            ),
+            _ => ("trainings", json!({ "episodes": 4, "powders": ["sand"], "seed": k })),
+        }
+    }
+
+    async fn ask(&mut self, path: &'static str, body: Value) -> Result<()> {
+        let job = self.called(&format!("/v1/{path}"), Some(&body)).await?;
+        let id = job["id"].as_str().context("the id of a job")?.to_owned();
+        ensure!(self.asked.iter().all(|it| it.id != id), "job {id} twice");
+        self.asked.push(Asked { path, body, id });
+        Ok(())
+    }
+
+    async fn get(&self, path: &str) -> Result<Value> {
+        self.called(path, None).await
+    }
+
+    /// One call, of whichever server answers: asking for a job twice gives the same job.
+    async fn called(&self, path: &str, body: Option<&Value>) -> Result<Value> {
+        let began = Instant::now();
+        loop {
+            let urls = self.servers.iter().filter_map(|it| it.said()?["url"].as_str().map(str::to_owned));
+            for url in urls.collect::<Vec<_>>() {
+                let url = format!("{url}{path}");
+                let call = match body {
+                    Some(body) => self.client.post(url).json(body),
+                    None => self.client.get(url),
+                };
+                let Ok(answer) = call.bearer_auth(&self.token).send().await else { continue };
+                let status = answer.status();
+                if status.is_server_error() {
+                    continue;
+                }
+                let Ok(said) = answer.text().await else { continue };
+                ensure!(status.is_success(), "{path}: {status} {said}");
+                return Ok(serde_json::from_str(&said)?);
+            }
+            ensure!(began.elapsed() < TRY, "{path}: no server answers");
+            sleep(LOOK).await;
+        }
+    }
+
+    /// Number of jobs that have not ended.
+    async fn open(&self) -> Result<usize> {
+        let mut open = 0;
+        for state in ["queued", "running"] {
+            let jobs = self.get(&format!("/v1/jobs?state={state}&limit=200")).await?;
+            open += jobs["items"].as_array().map_or(0, Vec::len);
+        }
+        Ok(open)
+    }
+
+    fn inflict(&mut self, fault: Fault, cluster: &Cluster, rng: &mut Pcg64Mcg) -> Result<()> {
+        match fault {
+            Fault::KillWorker => {
+                let going: Vec<usize> =
+                    (0..self.workers.len()).filter(|&k| self.workers[k].1.is_none()).collect();
+                let one = going[rng.random_range(0..going.len())];
+                self.workers.remove(one).0.kill()
+            }
+            Fault::KillServer => {
+                let one = rng.random_range(0..self.servers.len());
+                self.servers[one].kill()
+            }
+            Fault::StopWorker => {
+                let one = self.workers.iter_mut().find(|it| it.1.is_none());
+                let (worker, stopped) = one.context("a worker")?;
+                *stopped = Some(Instant::now());
+                worker.signal("STOP")
+            }
+            Fault::RestartDatabase => {
+                cluster.restart();
+                Ok(())
+            }
+            Fault::CrashDatabase => {
+                cluster.crash();
+                Ok(())
+            }
+        }
+    }
+
+    /// Waits until every job has ended.
+    async fn settle(&mut self) -> Result<()> {
+        let began = Instant::now();
+        while self.open().await? > 0 || self.workers.iter().any(|it| it.1.is_some()) {
+            if began.elapsed() > END {
+                bail!("jobs do not end: {}", self.get("/v1/jobs?limit=20").await?);
+            }
+            self.mend()?;
+            sleep(LOOK).await;
+        }
+        Ok(())
+    }
+
+    /// The result of every job, in the order in which they were asked for.
+    async fn results(&self) -> Result<Vec<Value>> {
+        let mut results = Vec::new();
+        for asked in &self.asked {
+            let job = self.get(&format!("/v1/{}/{}", asked.path, asked.id)).await?;
+            ensure!(job["state"] == "succeeded", "{job}");
+            results.push(job["result"].clone());
+        }
+        Ok(results)
+    }
+
+    fn end(&mut self) -> Result<()> {
+        for (worker, _) in &mut self.workers {
+            worker.end()?;
+        }
+        self.servers.iter_mut().try_for_each(Server::end)
+    }
+}
+
+/// The calibration that all others need.
+fn sand() -> (&'static str, Value) {
+    let body = json!({ "powder": "sand", "method": "sequential", "sets": 2, "tolerance_deg": 5, "trials_max": 60, "particles": 400 });
+    ("calibrations", body)
+}
+
+/// The results of the same jobs in one process with a data folder.
+async fn alone(flip: &Flip, folder: &Path, asked: &[Asked]) -> Result<Vec<Value>> {
+    let client = Client::builder().timeout(Duration::from_secs(60)).build()?;
+    let mut site = Site::start(flip, client);
+    site.servers.push(Server::of(flip.alone_server(&folder.join("alone"))?));
+    while site.servers[0].said().is_none() {
+        sleep(LOOK).await;
+    }
+    let said = site.servers[0].said().context("what it said")?;
+    site.token = said["token"].as_str().context("its token")?.to_owned();
+    for (k, job) in asked.iter().enumerate() {
+        site.ask(job.path, job.body.clone()).await?;
+        // The first makes what the others need.
+        while k == 0 && site.open().await? > 0 {
+            sleep(LOOK).await;
+        }
+    }
+    while site.open().await? > 0 {
+        sleep(LOOK).await;
+    }
+    let results = site.results().await?;
+    site.end()?;
+    Ok(results)
+}
