@@ -82,8 +82,9 @@ const EXCEPTIONS: [(&str, &[&str]); 2] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 39] = [
+const CONFINED: [(&str, &[&str]); 40] = [
     ("sqlx::", &["store", "testing"]),
+    ("object_store::", &["store"]),
     ("axum::", &["api"]),
     ("utoipa::", &["api"]),
     ("ToSchema", &["api"]),

@@ -1,6 +1,6 @@
 //! Backups of what is stored, restoring them, and moving to another database.
 
-use super::Storage;
+use super::{App, Disagreement, Storage};
 use flip_store::Error as StoreError;
 use flip_store::backup::{self, Copied};
 use flip_store::migrate::{self, CopyProgress, Migrated};
@@ -61,6 +61,17 @@ pub async fn move_store(
     migrate::migrate(from, to, progress).await.map_err(BackupError::of)
 }
 
+impl App {
+    /// Compares the artifacts with the rows that name them; `thorough`: reads each one, too.
+    ///
+    /// # Errors
+    /// [`Error::Unavailable`](super::Error::Unavailable) while their bucket does not answer;
+    /// [`Error::Internal`](super::Error::Internal)
+    pub async fn check_artifacts(&self, thorough: bool) -> super::Result<Disagreement> {
+        Ok(self.store().check_artifacts(thorough).await?)
+    }
+}
+
 impl BackupError {
     fn of(error: StoreError) -> Self {
         let message = error.to_string();
@@ -72,6 +83,7 @@ impl BackupError {
             | StoreError::Unstarted(_)
             | StoreError::Unfit { .. }
             | StoreError::Worked(_)
+            | StoreError::ArtifactsTaken(_)
             | StoreError::Held(_) => Self::Refused(message),
             _ => Self::Failed(message),
         }

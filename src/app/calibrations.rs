@@ -302,7 +302,7 @@ impl App {
             Error::conflict("posterior_missing", advice.to_owned())
         })?;
         let lost = |error| Error::of_part("the posterior of this calibration", error);
-        let bytes = self.store().artifacts().get(&sha256).map_err(lost)?;
+        let bytes = self.store().artifacts().get(&sha256).await.map_err(lost)?;
         serde_json::from_slice(&bytes).map_err(|_| corrupt("a posterior"))
     }
 

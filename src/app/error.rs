@@ -87,7 +87,7 @@ impl Error {
 /// The message about a lost part.
 pub(crate) fn lost(what: &str) -> String {
     format!(
-        "{what} is lost: its file in the data folder is gone or damaged (the log says which). A backup may hold it; nothing else is affected"
+        "{what} is lost: its file is gone or damaged (the log says which). A backup may hold it; nothing else is affected"
     )
 }
 
@@ -109,6 +109,7 @@ impl From<store::Error> for Error {
             | store::Error::Full
             | store::Error::Disk(_)
             | store::Error::Unreachable(_)
+            | store::Error::ArtifactsAway { .. }
             | store::Error::Gone(_) => Self::Unavailable(error.to_string()),
             error if error.is_closed() => {
                 Self::Unavailable("FLIP is shutting down: try again after the restart".into())

@@ -201,7 +201,10 @@ impl App {
             let advice = format!("weighing {id} has not ended: ask for a film of it when it has");
             return Err(Error::conflict("weighing_not_ended", advice));
         }
-        let ticks = trace.map_or(Ok(Vec::new()), |trace| self.stored_ticks(&trace))?;
+        let ticks = match trace {
+            Some(trace) => self.stored_ticks(&trace).await?,
+            None => Vec::new(),
+        };
         let mut spoonfuls = spoonfuls_of(&weighing, &ticks);
         if spoonfuls.is_empty() {
             let advice = format!("no step of weighing {id} is on record: there is nothing to film");
@@ -272,7 +275,7 @@ impl App {
             };
             return Err(Error::conflict("film_missing", format!("film {id} {advice}")));
         };
-        let bytes = self.store().artifacts().get(&result.sha256);
+        let bytes = self.store().artifacts().get(&result.sha256).await;
         let bytes = bytes.map_err(|error| Error::of_part("the file of this film", error))?;
         Ok((result.sha256, bytes))
     }

@@ -236,6 +236,7 @@ impl App {
         self.store()
             .artifacts()
             .get(sha256)
+            .await
             .map_err(|error| Error::of_part("this raw frame", error))
     }
 

@@ -16,8 +16,8 @@ use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery, Window};
 use flip_store::said::{Row, RowOf};
 use flip_store::spoonfuls::{Forgotten, ImportedSpoonful, ShakesWanted};
 use flip_store::weighings::{Weighing, WeighingRow};
-use futures::StreamExt;
 use futures::stream::{self, BoxStream};
+use futures::{StreamExt, TryStreamExt};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::HashMap;
@@ -27,6 +27,8 @@ const IMPORTED: i64 = 1 << 62;
 /// Display step assumed where neither the weighing nor its readings tell, mg: what the traces of
 /// older versions were read with.
 const STEP_MG: f64 = 1.0;
+/// How many traces are read at a time: a bucket answers many at once.
+const TRACES_AT_ONCE: usize = 8;
 /// Maximum length of the name of a lot.
 const LOT_CHARS_MAX: usize = 200;
 
@@ -226,7 +228,9 @@ impl App {
         let mut found: Vec<Placed> = Vec::new();
         if window.after() < IMPORTED {
             let shaken = self.store().shaken(wanted, window.clone()).await?;
-            found.extend(shaken.into_iter().map(|(seq, row)| (seq, self.of_weighing(&row))));
+            let read = stream::iter(shaken)
+                .map(async |(seq, row)| Ok::<_, Error>((seq, self.of_weighing(&row).await?)));
+            found.extend(read.buffered(TRACES_AT_ONCE).try_collect::<Vec<_>>().await?);
         }
         let Some(limit) = window.limit.checked_sub(found.len() as u32) else { return Ok(found) };
         let after = Some(window.after().saturating_sub(IMPORTED).max(0));
@@ -239,13 +243,16 @@ impl App {
     }
 
     /// The spoonfuls of a weighing; none if its trace is lost, which concerns no other.
-    fn of_weighing(&self, row: &WeighingRow) -> Vec<KeptSpoonful> {
-        let WeighingRow { weighing, trace, .. } = row;
-        let ticks = trace.as_deref().map_or(Ok(Vec::new()), |trace| self.stored_ticks(trace));
-        let ticks = ticks.inspect_err(|error| {
-            tracing::warn!(weighing = weighing.id, %error, "the shakes of a weighing cannot be read");
-        });
-        spoonfuls_of(weighing, &ticks.unwrap_or_default())
+    async fn of_weighing(&self, row: &WeighingRow) -> Result<Vec<KeptSpoonful>> {
+        let WeighingRow { weighing, trace: Some(trace), .. } = row else { return Ok(Vec::new()) };
+        match self.stored_ticks(trace).await {
+            Ok(ticks) => Ok(spoonfuls_of(weighing, &ticks)),
+            Err(error @ Error::Unavailable(_)) => Err(error),
+            Err(error) => {
+                tracing::warn!(weighing = weighing.id, %error, "the shakes of a weighing cannot be read");
+                Ok(Vec::new())
+            }
+        }
     }
 
     /// What is listed of the powders in a file, by [`key`].

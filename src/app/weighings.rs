@@ -282,7 +282,7 @@ impl App {
         let row =
             self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         let (ticks, trace_lost) = match &row.trace {
-            Some(trace) => match self.stored_ticks(trace) {
+            Some(trace) => match self.stored_ticks(trace).await {
                 Ok(ticks) => (ticks, None),
                 Err(Error::Lost(why)) => (Vec::new(), Some(why)),
                 Err(error) => return Err(error),
@@ -293,9 +293,9 @@ impl App {
         Ok(WeighingDetail { weighing: row.weighing, ticks, trace_lost, stopped })
     }
 
-    pub(super) fn stored_ticks(&self, trace: &str) -> Result<Vec<Tick>> {
-        let bytes =
-            self.store().artifacts().get(trace).map_err(|error| Error::of_part(TRACE, error))?;
+    pub(super) async fn stored_ticks(&self, trace: &str) -> Result<Vec<Tick>> {
+        let bytes = self.store().artifacts().get(trace).await;
+        let bytes = bytes.map_err(|error| Error::of_part(TRACE, error))?;
         // Its hash is correct, so it was written like this.
         serde_json::from_slice(&bytes).map_err(|error| Error::Internal(error.into()))
     }

@@ -46,6 +46,7 @@ impl Hired {
             });
         }
         let store = Store::open_beside(storage).await.map_err(failed)?;
+        store.join_artifacts().await.map_err(failed)?;
         let ours = env!("CARGO_PKG_VERSION");
         let workers = store.workers().await.map_err(failed)?;
         let others = workers.iter().find(|it| it.serves && it.ended_at.is_none());

@@ -4,6 +4,7 @@
 use super::Common;
 use super::failure::Failure;
 use super::session::runtime;
+use super::with_artifacts;
 use crate::app::{
     BackupError, Copied, CopyProgress, Migrated, Storage, Who, acting, back_up, move_store, restore,
 };
@@ -25,7 +26,8 @@ pub(super) struct Arguments {
 #[derive(Debug, clap::Args)]
 pub(super) struct RestoreArguments {
     /// Backup made by `flip backup`. It is restored to `--data-dir`, which must not exist yet, or
-    /// be empty; and to the database of `--database-url` if there is one, which must be empty.
+    /// be empty; and to the database of `--database-url` and the place of `--artifacts` if there is
+    /// one, which must be empty.
     #[arg(value_name = "BACKUP")]
     from: PathBuf,
     /// Keep the tokens as they are in the backup, even those revoked since. Without it all are
@@ -43,16 +45,27 @@ pub(super) struct MigrateArguments {
     /// An empty database, or a folder that must not exist yet, or be empty.
     #[arg(long, value_name = "DIR|URL")]
     to: String,
+    /// Where the artifacts of the side that is a folder are, if not in it: a path, file:///path or
+    /// s3://bucket/prefix, as `--artifacts` is for the side on a server. If both name the same, they
+    /// stay there and are read once.
+    #[arg(long, value_name = "DIR|URL")]
+    folder_artifacts: Option<String>,
 }
 
 impl MigrateArguments {
-    /// Both sides. The files of the one on a server are in the data folder.
+    /// Both sides. The files of the one on a server are in the data folder, or where `--artifacts`
+    /// says.
     fn sides(&self, common: &Common) -> Result<(Storage, Storage), Failure> {
         let is_url = |side: &str| side.contains("://");
+        let (artifacts, folder_artifacts) =
+            (common.artifacts.as_deref(), self.folder_artifacts.as_deref());
         let side = |field: &'static str, side: &str| match is_url(side) {
-            true => Storage::on_server(side, &common.data_dir)
-                .map_err(|error| FieldError::new(field, error.to_string())),
-            false => Ok(Storage::in_folder(side)),
+            true => {
+                let storage = Storage::on_server(side, &common.data_dir)
+                    .map_err(|error| FieldError::new(field, error.to_string()))?;
+                with_artifacts(storage, "artifacts", artifacts)
+            }
+            false => with_artifacts(Storage::in_folder(side), "folder_artifacts", folder_artifacts),
         };
         if is_url(&self.from) == is_url(&self.to) {
             let why = "one side is a data folder, the other a database on a server; `flip backup` and `flip restore` copy between two of a kind";

@@ -5,7 +5,7 @@ use super::failure::Failure;
 use super::health;
 use super::session::runtime;
 use super::table::table;
-use crate::app::{App, OpenError, Storage, Timestamp};
+use crate::app::{App, Disagreement, OpenError, Storage, Timestamp};
 use serde::Serialize;
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
@@ -18,6 +18,8 @@ const DESCRIPTORS_MIN: u64 = 4096;
 const MEMORY_MIN: u64 = 1 << 30;
 /// Space for a data folder to grow, bytes: about six thousand doses.
 const ROOM_MIN: u64 = 1 << 30;
+/// How many artifacts are named in one sentence; `--json` has all.
+const SHOWN_MAX: usize = 3;
 /// A clock before 2026 is not set: this many seconds after 1970.
 const CLOCK_MIN: u64 = 1_767_225_600;
 
@@ -30,6 +32,9 @@ pub(super) struct Arguments {
     /// Bench file to read; to test its devices, use `flip bench check`.
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
+    /// Read every artifact, too, and compare it with its name: as long as a backup takes.
+    #[arg(long)]
+    thorough: bool,
 }
 
 /// Status of one check.
@@ -49,24 +54,33 @@ struct Finding {
     verdict: Verdict,
     /// What was found and, if something is wrong, what to do.
     found: String,
+    /// Of the artifacts: those that no row names, and the rows whose artifact is missing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    artifacts: Option<Disagreement>,
+}
+
+impl Finding {
+    fn new(what: &'static str, verdict: Verdict, found: impl Into<String>) -> Self {
+        Self { what, verdict, found: found.into(), artifacts: None }
+    }
 }
 
 fn ok(what: &'static str, found: impl Into<String>) -> Finding {
-    Finding { what, verdict: Verdict::Ok, found: found.into() }
+    Finding::new(what, Verdict::Ok, found)
 }
 
 fn warning(what: &'static str, found: impl Into<String>) -> Finding {
-    Finding { what, verdict: Verdict::Warning, found: found.into() }
+    Finding::new(what, Verdict::Warning, found)
 }
 
 fn failed(what: &'static str, found: impl Into<String>) -> Finding {
-    Finding { what, verdict: Verdict::Failed, found: found.into() }
+    Finding::new(what, Verdict::Failed, found)
 }
 
 /// Runs all checks; exit status 1 if one fails.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let mut findings = vec![processor(), memory(), clock(), descriptors()];
-    findings.extend(storage(&common.storage()?)?);
+    findings.extend(storage(&common.storage()?, arguments.thorough)?);
     findings.push(port(arguments.listen));
     findings.extend(arguments.bench.as_deref().map(bench));
     common.print(&findings, || text(&findings))?;
@@ -152,16 +166,16 @@ fn descriptors() -> Finding {
     }
 }
 
-/// The folder, its disk, and the database.
-fn storage(storage: &Storage) -> Result<Vec<Finding>, Failure> {
+/// The folder, its disk, the database, and the artifacts.
+fn storage(storage: &Storage, thorough: bool) -> Result<Vec<Finding>, Failure> {
     let folder = storage.folder();
     let there = folder.is_dir();
     let here = Path::new(".");
     let is_there = |it: &&Path| !it.as_os_str().is_empty() && it.exists();
     let on = folder.ancestors().find(is_there).unwrap_or(here);
     let mut findings = vec![room(on), writable(folder, on)];
-    if there || storage.is_on_server() {
-        findings.extend(runtime()?.block_on(database(storage)));
+    if there || storage.is_on_server() || storage.has_artifacts_elsewhere() {
+        findings.extend(runtime()?.block_on(database(storage, thorough)));
     }
     Ok(findings)
 }
@@ -205,20 +219,30 @@ fn writable(folder: &Path, on: &Path) -> Finding {
     }
 }
 
-/// The database, if there is one.
-async fn database(storage: &Storage) -> Option<Finding> {
+/// The database, if there is one, and the artifacts that it names.
+async fn database(storage: &Storage, thorough: bool) -> Vec<Finding> {
     // Read-only: a doctor changes nothing, and a server may hold it.
-    Some(match App::look_into(storage).await {
-        Err(OpenError::Held(why)) => warning("database", why),
-        Err(error) => failed("database", error.to_string()),
-        Ok(None) if storage.is_on_server() => {
-            ok("database", format!("{storage} can be reached, and is empty or of an older FLIP"))
+    match App::look_into(storage).await {
+        Err(OpenError::Held(why)) => vec![warning("database", why)],
+        Err(error) => vec![failed("database", error.to_string())],
+        Ok(None) => {
+            let empty = || {
+                ok(
+                    "database",
+                    format!("{storage} can be reached, and is empty or of an older FLIP"),
+                )
+            };
+            let mut findings = Vec::from_iter(storage.is_on_server().then(empty));
+            if storage.has_artifacts_elsewhere() {
+                findings.push(reachable(storage).await);
+            }
+            findings
         }
-        Ok(None) => return None,
         Ok(Some(app)) => {
             let audit = app.verify_audit(None).await;
+            let artifacts = app.check_artifacts(thorough).await;
             let _ = app.shutdown().await;
-            match audit {
+            let audit = match audit {
                 Ok(audit) if audit.broken.is_none() => {
                     ok("database", format!("{} records, as they were written", audit.records))
                 }
@@ -227,9 +251,65 @@ async fn database(storage: &Storage) -> Option<Finding> {
                     "the record is not as it was written: `flip audit verify` says where",
                 ),
                 Err(error) => failed("database", error.to_string()),
-            }
+            };
+            let artifacts = match artifacts {
+                Ok(found) => compared(found, &storage.artifacts().to_string(), thorough),
+                Err(error) => failed("artifacts", error.to_string()),
+            };
+            vec![audit, artifacts]
         }
-    })
+    }
+}
+
+/// Artifacts that no database names yet.
+async fn reachable(storage: &Storage) -> Finding {
+    let artifacts = storage.artifacts();
+    match artifacts.check_reachable().await {
+        Ok(()) => ok("artifacts", format!("{artifacts} can be reached")),
+        Err(error) => failed("artifacts", error.to_string()),
+    }
+}
+
+/// What is wrong with the artifacts at this place.
+fn compared(found: Disagreement, place: &str, thorough: bool) -> Finding {
+    let mut told = Vec::new();
+    for (damaged, what) in [(false, "missing"), (true, "damaged")] {
+        let lost = found.lost.iter().filter(|it| it.damaged == damaged);
+        let lost = lost.map(|it| format!("{} (named by {})", it.sha256, first(&it.named_by)));
+        let lost: Vec<_> = lost.collect();
+        if !lost.is_empty() {
+            told.push(format!("{} {what}: {}", lost.len(), first(&lost)));
+        }
+    }
+    let verdict = if told.is_empty() { Verdict::Ok } else { Verdict::Failed };
+    if told.is_empty() {
+        let whole = if thorough { " and whole" } else { "" };
+        told.push(format!("all that rows name are there{whole}"));
+    } else {
+        let folder = "its folder blobs, as AB/ABCD… by the first two digits";
+        told.push(format!(
+            "copy each to {place} from a backup ({folder}); nothing else is affected"
+        ));
+    }
+    if !found.unnamed.is_empty() {
+        told.push(format!(
+            "{} that no row names ({}): a start of `flip serve` removes those older than a day, unless they are more than 100",
+            found.unnamed.len(),
+            first(&found.unnamed)
+        ));
+    }
+    let artifacts = Some(found);
+    Finding { artifacts, ..Finding::new("artifacts", verdict, told.join("; ")) }
+}
+
+/// The first few of a list.
+fn first(list: &[String]) -> String {
+    let more = list.len().saturating_sub(SHOWN_MAX);
+    let mut shown = list.iter().take(SHOWN_MAX).cloned().collect::<Vec<_>>().join(", ");
+    if more > 0 {
+        shown += &format!(", and {more} more");
+    }
+    shown
 }
 
 fn port(address: SocketAddr) -> Finding {
@@ -276,7 +356,7 @@ mod tests {
     fn a_folder_that_cannot_be_made_fails_and_a_fresh_one_does_not() {
         let folder = tempfile::tempdir().unwrap();
         let verdicts = |path: &Path| {
-            storage(&path.into()).unwrap().iter().map(|it| it.verdict).collect::<Vec<_>>()
+            storage(&path.into(), false).unwrap().iter().map(|it| it.verdict).collect::<Vec<_>>()
         };
         assert!(!verdicts(&folder.path().join("new/deeper")).contains(&Verdict::Failed));
         let file = folder.path().join("file");
@@ -291,11 +371,13 @@ mod tests {
     #[test]
     fn a_folder_that_lost_its_database_is_not_taken_for_a_fresh_one() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(storage(&folder.path().into()).unwrap().iter().all(|it| it.what != "database"));
+        assert!(
+            storage(&folder.path().into(), false).unwrap().iter().all(|it| it.what != "database")
+        );
         let blobs = folder.path().join("blobs/ab");
         std::fs::create_dir_all(&blobs).unwrap();
         std::fs::write(blobs.join("ab".repeat(32)), b"a trace").unwrap();
-        let found = storage(&folder.path().into()).unwrap();
+        let found = storage(&folder.path().into(), false).unwrap();
         assert!(
             found.iter().any(|it| it.what == "database" && it.verdict == Verdict::Failed),
             "{found:?}"
@@ -306,7 +388,7 @@ mod tests {
     fn a_database_that_is_none_is_named() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("flip.db"), "this is a letter").unwrap();
-        let found = storage(&folder.path().into()).unwrap();
+        let found = storage(&folder.path().into(), false).unwrap();
         let database = found.iter().find(|it| it.what == "database").unwrap();
         assert_eq!(database.verdict, Verdict::Failed, "{}", database.found);
         assert_eq!(std::fs::read(folder.path().join("flip.db")).unwrap(), b"this is a letter");

@@ -99,6 +99,18 @@ struct Common {
         hide_env_values = true
     )]
     database_url: Option<String>,
+    /// Artifacts (checkpoints, traces, films, frames) in this folder instead of the data folder, or
+    /// in a bucket of S3: a path, file:///path or s3://bucket/prefix. The server of the bucket and
+    /// its keys are in AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY. Every
+    /// process of a database needs the same.
+    #[arg(
+        long,
+        global = true,
+        value_name = "DIR|URL",
+        env = "FLIP_ARTIFACTS",
+        hide_env_values = true
+    )]
+    artifacts: Option<String>,
     /// Seed for every random choice: the same seed gives the same result on any number of threads.
     #[arg(long, global = true, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -275,9 +287,12 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 impl Common {
     /// Where everything is stored.
     fn storage(&self) -> Result<Storage, Failure> {
-        let Some(url) = &self.database_url else { return Ok(Storage::in_folder(&self.data_dir)) };
-        let storage = Storage::on_server(url, &self.data_dir);
-        storage.map_err(|error| FieldError::new("database_url", error.to_string()).into())
+        let storage = match &self.database_url {
+            None => Storage::in_folder(&self.data_dir),
+            Some(url) => Storage::on_server(url, &self.data_dir)
+                .map_err(|error| FieldError::new("database_url", error.to_string()))?,
+        };
+        with_artifacts(storage, "artifacts", self.artifacts.as_deref())
     }
 
     /// The server to ask, if one is named.
@@ -298,6 +313,17 @@ impl Common {
         // panic.
         Ok(writeln!(std::io::stdout(), "{}", text.trim_end())?)
     }
+}
+
+/// A storage with its artifacts where an option says, if it does.
+fn with_artifacts(
+    storage: Storage,
+    field: &'static str,
+    address: Option<&str>,
+) -> Result<Storage, Failure> {
+    let Some(address) = address else { return Ok(storage) };
+    let storage = storage.with_artifacts(address);
+    storage.map_err(|error| FieldError::new(field, error.to_string()).into())
 }
 
 #[cfg(test)]

@@ -40,9 +40,10 @@ const HERE: [(&str, &str); 22] = [
 ];
 
 /// Options for which a server has something of its own.
-const OWN: [(&str, &str); 6] = [
+const OWN: [(&str, &str); 7] = [
     ("data_dir", "the server has its own data folder: leave --data-dir out"),
     ("database_url", "the server has its own database: leave --database-url out"),
+    ("artifacts", "the server has its own artifacts: leave --artifacts out"),
     ("bench", "the server has its own bench: leave --bench out"),
     ("emulated_hidden", "the server has its own bench: leave --emulated-hidden out"),
     ("laboratory", "the server names its own laboratory: leave --laboratory out"),

@@ -231,7 +231,7 @@ impl JobHost for LeasedJob {
 
     fn checkpoint(&self) -> Result<Checkpoint> {
         let Some(sha256) = &self.checkpoint else { return Ok(Checkpoint::None) };
-        match self.store.artifacts().get(sha256) {
+        match self.runtime.block_on(self.store.artifacts().get(sha256)) {
             Ok(bytes) => Ok(Checkpoint::Saved(bytes)),
             Err(error) if error.is_lost_part() => Ok(Checkpoint::Lost(error.to_string())),
             Err(error) => Err(error.into()),
@@ -292,7 +292,7 @@ impl JobHost for LeasedJob {
     }
 
     fn put(&self, bytes: &[u8]) -> Result<String> {
-        Ok(self.store.artifacts().put(bytes)?)
+        Ok(self.runtime.block_on(self.store.artifacts().put(bytes))?)
     }
 
     fn finish(&self, finished: &Finished<'_>) -> Result<()> {

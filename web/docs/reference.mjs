@@ -218,6 +218,7 @@ bench = "/etc/flip/bench.toml"
 | variable | what |
 |---|---|
 | \`FLIP_DATABASE_URL\` | the [database on a server](../operations.md), where \`--database-url\` does not name it |
+| \`FLIP_ARTIFACTS\` | the [folder or bucket of the artifacts](../operations.md), where \`--artifacts\` does not name it; \`AWS_ENDPOINT\`, \`AWS_REGION\`, \`AWS_ACCESS_KEY_ID\`, \`AWS_SECRET_ACCESS_KEY\` and others lead to a bucket |
 | \`FLIP_SETTINGS\` | the settings file, where \`--settings\` does not name it |
 | \`FLIP_LOG\` | which log lines \`flip serve\` shows, as \`tracing\` filters: \`FLIP_LOG=flip=debug\` |
 | \`FLIP_SIMD\` | for tests: forces a narrower vector unit of the processor than the widest; results are the same |

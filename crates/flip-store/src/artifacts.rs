@@ -1,13 +1,23 @@
 //! Content-addressed bytes: checkpoints, traces and films are files named by their SHA-256, written before
-//! the row that names them.
+//! the row that names them. They are in a folder or in a bucket of S3.
+
+mod address;
+mod bucket;
+mod folder;
 
 use super::sql::Flag;
 use super::{Error, Result, Store};
+use bucket::Bucket;
+pub(super) use bucket::Patience;
+use folder::Folder;
+use futures::{StreamExt, TryStreamExt, stream};
+use object_store::path::Path as Key;
+use object_store::{ObjectStore, ObjectStoreExt};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use std::collections::{BTreeMap, HashSet};
-use std::fs::{self, File};
-use std::io::{ErrorKind, Write};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::fmt;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -52,113 +62,263 @@ pub struct LostArtifact {
     pub damaged: bool,
 }
 
-/// A folder of content-addressed files: `ab/<sha256>`.
-#[derive(Clone, Debug)]
+/// Name of the note that says whose artifacts are here; no artifact has such a name.
+const OWNER: &str = "installation";
+/// How many files are read or copied at a time: a bucket answers many at once.
+pub(super) const AT_ONCE: usize = 8;
+/// Longest wait for a bucket at a start.
+const START_MAX: Duration = Duration::from_secs(30);
+
+/// Content-addressed files, `ab/<sha256>`, in a folder or a bucket. Cheap to clone.
+#[derive(Clone)]
 pub struct Artifacts {
-    folder: PathBuf,
+    place: Place,
+    /// Whether a note says whose they are: they are not in the data folder, whose lock keeps others
+    /// away.
+    is_marked: bool,
+}
+
+#[derive(Clone)]
+enum Place {
+    Folder(Folder),
+    Bucket(Bucket),
+}
+
+/// A file of ours.
+struct Found {
+    name: String,
+    /// Time since it was written; `None` if unknown or in the future.
+    age: Option<Duration>,
 }
 
 impl Artifacts {
+    /// Those of a data folder.
     pub(super) fn in_folder(folder: PathBuf) -> Self {
-        Self { folder }
+        Self { place: Place::Folder(Folder::new(folder)), is_marked: false }
     }
 
     /// Store bytes durably and return their SHA-256: when this returns, a row may name them.
     ///
     /// # Errors
-    /// [`Error::File`]; existing contents are untouched.
-    pub fn put(&self, bytes: &[u8]) -> Result<String> {
+    /// [`Error::File`] of a folder, [`Error::ArtifactsAway`] and [`Error::Artifacts`] of a bucket;
+    /// existing contents are untouched.
+    pub async fn put(&self, bytes: &[u8]) -> Result<String> {
         let sha256 = sha256_hex(bytes);
-        let path = self.path(&sha256);
-        if path.exists() {
-            return Ok(sha256);
-        }
-        let failed = |source| Error::File { path: path.clone(), source };
-        let folder = path.parent().unwrap_or(&self.folder);
-        fs::create_dir_all(folder).map_err(failed)?;
-        // A unique name: two writers of the same bytes must not share a half-written file.
-        let temporary = folder.join(format!("{}.part", super::new_id()));
-        let mut file = File::create(&temporary).map_err(failed)?;
-        file.write_all(bytes).and_then(|()| file.sync_all()).map_err(failed)?;
-        fs::rename(&temporary, &path).map_err(failed)?;
-        for folder in [folder, &self.folder] {
-            File::open(folder).and_then(|f| f.sync_all()).map_err(failed)?;
+        if !matches!(&self.place, Place::Folder(folder) if folder.file(&sha256).exists()) {
+            self.put_at(&key(&sha256), bytes).await?;
         }
         Ok(sha256)
+    }
+
+    async fn put_at(&self, key: &Key, bytes: &[u8]) -> Result<()> {
+        let bytes = bytes.to_vec().into();
+        match &self.place {
+            Place::Folder(folder) => {
+                let put = folder.to_write()?.put(key, bytes).await;
+                put.map_err(|error| folder.failed(&folder.path().join(key.as_ref()), error))?;
+                folder.sync()
+            }
+            Place::Bucket(bucket) => {
+                let put = bucket.objects().put(key, bytes).await;
+                put.map(drop).map_err(|error| bucket.failed(key.as_ref(), &error))
+            }
+        }
     }
 
     /// The bytes with this SHA-256.
     ///
     /// # Errors
     /// [`Error::File`] when there are none, [`Error::Corrupt`] when the file no longer matches its
-    /// name.
-    pub fn get(&self, sha256: &str) -> Result<Vec<u8>> {
-        let path = self.path(sha256);
-        let bytes = fs::read(&path).map_err(|source| Error::File { path: path.clone(), source })?;
+    /// name; [`Error::ArtifactsAway`], [`Error::Artifacts`] of a bucket.
+    pub async fn get(&self, sha256: &str) -> Result<Vec<u8>> {
+        let key = key(sha256);
+        let bytes = self.get_at(&key).await?;
         match sha256_hex(&bytes) == sha256 {
             true => Ok(bytes),
-            false => {
-                Err(Error::Corrupt(format!("{} does not hold what its name says", path.display())))
+            false => Err(Error::Corrupt(format!("{self}/{key} does not hold what its name says"))),
+        }
+    }
+
+    async fn get_at(&self, key: &Key) -> Result<Vec<u8>> {
+        let read = async |objects: &dyn ObjectStore| objects.get(key).await?.bytes().await;
+        let bytes = match &self.place {
+            Place::Folder(folder) => {
+                let failed = |error| folder.failed(&folder.path().join(key.as_ref()), error);
+                read(&folder.to_read().map_err(failed)?).await.map_err(failed)?
+            }
+            Place::Bucket(bucket) => read(&*bucket.objects())
+                .await
+                .map_err(|error| bucket.failed(key.as_ref(), &error))?,
+        };
+        Ok(bytes.into())
+    }
+
+    /// Our files, complete and half-written.
+    async fn files(&self) -> Result<Vec<Found>> {
+        Ok(match &self.place {
+            Place::Folder(folder) => folder.files()?.into_iter().map(|(it, _)| it).collect(),
+            Place::Bucket(bucket) => bucket.files().await?.into_iter().map(|(it, _)| it).collect(),
+        })
+    }
+
+    /// Remove our files that are older than the grace period and not named. Only for the one process
+    /// that serves the database.
+    ///
+    /// If there are more than crashes could leave, none is removed: then the rows are more likely
+    /// missing.
+    async fn sweep(&self, named: &HashSet<String>, grace: Duration) -> Result<()> {
+        let goes = |it: &Found| !named.contains(&it.name) && it.age.is_some_and(|age| age > grace);
+        let too_many = |count: usize| {
+            if count > SWEPT_MAX {
+                tracing::warn!(
+                    count,
+                    "files that no row names were left where they are: is this the right database?"
+                );
+            }
+            count > SWEPT_MAX
+        };
+        match &self.place {
+            Place::Folder(folder) => {
+                let mut unnamed = folder.files()?;
+                unnamed.retain(|(it, _)| goes(it));
+                if too_many(unnamed.len()) {
+                    return Ok(());
+                }
+                unnamed.iter().try_for_each(|(_, path)| folder::remove(path))
+            }
+            Place::Bucket(bucket) => {
+                let mut unnamed = bucket.files().await?;
+                unnamed.retain(|(it, _)| goes(it));
+                if too_many(unnamed.len()) {
+                    return Ok(());
+                }
+                for (_, key) in unnamed {
+                    bucket.remove(&key).await?;
+                }
+                Ok(())
             }
         }
     }
 
-    /// Remove our files that are older than the grace period and not named. Only for the sole
-    /// holder of the folder.
-    ///
-    /// If there are more than crashes could leave, none is removed: then the rows are more likely
-    /// missing.
-    fn sweep(&self, named: &HashSet<String>, grace: Duration) -> Result<()> {
-        let is_named = |path: &PathBuf| file_name(path).is_some_and(|name| named.contains(name));
-        let is_old = |path: &PathBuf| age(path).is_some_and(|age| age > grace);
-        let unnamed: Vec<_> =
-            self.files()?.into_iter().filter(|path| !is_named(path) && is_old(path)).collect();
-        if unnamed.len() > SWEPT_MAX {
-            let count = unnamed.len();
-            tracing::warn!(
-                count,
-                "files that no row names were left where they are: is this the right database?"
-            );
-            return Ok(());
+    async fn remove(&self, sha256: &str) -> Result<()> {
+        match &self.place {
+            Place::Folder(folder) => folder::remove(&folder.file(sha256)),
+            Place::Bucket(bucket) => bucket.remove(&key(sha256)).await,
         }
-        unnamed.iter().try_for_each(|path| remove(path))
     }
 
-    /// Whether there are any files of ours.
+    /// Whether there are any files of ours in the data folder.
     ///
     /// # Errors
     /// [`Error::File`]
-    pub(super) fn any(&self) -> Result<bool> {
-        Ok(!self.files()?.is_empty())
+    pub(super) fn any_in_data_folder(&self) -> Result<bool> {
+        match &self.place {
+            Place::Folder(folder) if !self.is_marked => Ok(!folder.files()?.is_empty()),
+            _ => Ok(false),
+        }
     }
 
-    /// Our files, complete and half-written, recognised by their names; anything else here belongs
-    /// to someone else.
-    fn files(&self) -> Result<Vec<PathBuf>> {
-        let is_hex = |name: &str, digits: usize| {
-            name.len() == digits && name.bytes().all(|b| b.is_ascii_hexdigit())
-        };
-        let mut found = Vec::new();
-        for folder in entries(&self.folder)? {
-            let Some(prefix) = file_name(&folder).filter(|name| is_hex(name, 2) && folder.is_dir())
-            else {
-                continue;
-            };
-            let is_ours = |path: &PathBuf| {
-                let whole = |name: &str| is_hex(name, 64) && name.starts_with(prefix);
-                file_name(path).is_some_and(|name| whole(name) || name.ends_with(".part"))
-                    && path.is_file()
-            };
-            found.extend(entries(&folder)?.into_iter().filter(is_ours));
+    /// Check that a copy of `from` does not mix with what is here; returns what to [`discard`] if the
+    /// copy fails. What is in the data folder goes with it, and what is copied to where it is stays.
+    ///
+    /// [`discard`]: Self::discard
+    ///
+    /// # Errors
+    /// [`Error::ArtifactsTaken`]; [`Error::ArtifactsAway`], [`Error::Artifacts`], [`Error::File`].
+    pub(super) async fn check_new(&self, from: &Self) -> Result<Option<Self>> {
+        if !self.is_marked || self.to_string() == from.to_string() {
+            return Ok(None);
         }
-        Ok(found)
+        if self.files().await?.is_empty() && self.owner().await?.is_none() {
+            return Ok(Some(self.clone()));
+        }
+        let why = "holds artifacts already: name an empty folder, or another prefix";
+        Err(Error::ArtifactsTaken(format!("{self} {why}")))
+    }
+
+    /// Remove all of ours from a place that was empty before.
+    pub(super) async fn discard(&self) {
+        let discarded = async {
+            for found in self.files().await? {
+                self.remove(&found.name).await?;
+            }
+            Ok::<_, Error>(())
+        };
+        if let Err(error) = discarded.await {
+            tracing::warn!(%error, "what was copied was not removed again");
+        }
+    }
+
+    /// Check that they can be read.
+    ///
+    /// # Errors
+    /// [`Error::ArtifactsAway`], [`Error::Artifacts`], [`Error::File`].
+    pub async fn check_reachable(&self) -> Result<()> {
+        in_time(self, self.owner()).await.map(drop)
+    }
+
+    /// Whose they are, if they are not in the data folder and somebody's.
+    async fn owner_elsewhere(&self) -> Result<Option<String>> {
+        if self.is_marked { in_time(self, self.owner()).await } else { Ok(None) }
+    }
+
+    async fn owner(&self) -> Result<Option<String>> {
+        match self.get_at(&Key::from(OWNER)).await {
+            Ok(owner) => Ok(Some(String::from_utf8_lossy(&owner).trim().to_owned())),
+            Err(Error::File { source, .. }) if source.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Check that they can be read and written, and are those of this installation; note that they
+    /// are if nobody's were. `joins`: another process must have noted it.
+    ///
+    /// # Errors
+    /// [`Error::ArtifactsTaken`]; [`Error::ArtifactsAway`], [`Error::Artifacts`], [`Error::File`].
+    async fn claim(&self, installation: &str, joins: bool) -> Result<()> {
+        if !self.is_marked {
+            return Ok(());
+        }
+        let claimed = async {
+            match self.owner().await? {
+                None if !joins => {}
+                owner => self.check_owner(owner, installation)?,
+            }
+            // Written each time: this is how a start finds out whether it can.
+            self.put_at(&Key::from(OWNER), format!("{installation}\n").as_bytes()).await
+        };
+        in_time(self, claimed).await
+    }
+
+    /// Check that they are those of this installation, if they are not in the data folder: elsewhere
+    /// every file would be called lost.
+    ///
+    /// # Errors
+    /// [`Error::ArtifactsTaken`]; [`Error::ArtifactsAway`], [`Error::Artifacts`], [`Error::File`].
+    pub(super) async fn are_of(&self, installation: &str) -> Result<()> {
+        match self.is_marked {
+            true => self.check_owner(self.owner_elsewhere().await?, installation),
+            false => Ok(()),
+        }
+    }
+
+    fn check_owner(&self, owner: Option<String>, installation: &str) -> Result<()> {
+        let why = match owner {
+            Some(owner) if owner == installation => return Ok(()),
+            Some(owner) => format!(
+                "{self} holds the artifacts of another database (of installation {owner}; this one is {installation}): name another folder or prefix"
+            ),
+            None => format!(
+                "{self} holds no artifacts of this database: name those that `flip serve` was started with"
+            ),
+        };
+        Err(Error::ArtifactsTaken(why))
     }
 
     /// Whether a file is lost; `Some(true)` if it is there, with other contents.
-    fn lost(&self, sha256: &str, thorough: bool) -> Result<Option<bool>> {
-        let found = if thorough { self.get(sha256).map(drop) } else { self.is_there(sha256) };
-        match found {
-            Ok(()) => Ok(None),
+    async fn lost(&self, sha256: &str) -> Result<Option<bool>> {
+        match self.get(sha256).await {
+            Ok(_) => Ok(None),
             Err(Error::Corrupt(_)) => Ok(Some(true)),
             Err(Error::File { source, .. }) if source.kind() == ErrorKind::NotFound => {
                 Ok(Some(false))
@@ -166,14 +326,21 @@ impl Artifacts {
             Err(error) => Err(error),
         }
     }
+}
 
-    fn is_there(&self, sha256: &str) -> Result<()> {
-        let path = self.path(sha256);
-        fs::metadata(&path).map(drop).map_err(|source| Error::File { path, source })
+impl fmt::Display for Artifacts {
+    /// The folder, or the address of the bucket.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.place {
+            Place::Folder(folder) => folder.path().display().fmt(f),
+            Place::Bucket(bucket) => bucket.name().fmt(f),
+        }
     }
+}
 
-    fn path(&self, sha256: &str) -> PathBuf {
-        self.folder.join(sha256.get(..2).unwrap_or("__")).join(sha256)
+impl fmt::Debug for Artifacts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Artifacts({self})")
     }
 }
 
@@ -186,32 +353,37 @@ impl Store {
              UNION SELECT 1 FROM weighing WHERE trace = $1 \
              UNION SELECT 1 FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom = $1)";
         let Flag(named) = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;
-        if named { Ok(()) } else { remove(&self.artifacts.path(sha256)) }
+        if named { Ok(()) } else { self.artifacts.remove(sha256).await }
     }
 
     /// Compare the files with the rows that name them; `thorough`: read each file and compare it
     /// with its name, too. A running server may be about to name a file, or to remove one.
     ///
     /// # Errors
-    /// [`Error::File`], [`Error::Database`].
+    /// [`Error::ArtifactsTaken`]: they are another database's;
+    /// [`Error::File`], [`Error::Database`]; [`Error::ArtifactsAway`], [`Error::Artifacts`].
     pub async fn check_artifacts(&self, thorough: bool) -> Result<Disagreement> {
+        if let owner @ Some(_) = self.artifacts.owner_elsewhere().await? {
+            self.artifacts.check_owner(owner, &self.installation().await?)?;
+        }
         // Files first: one that is written and named meanwhile is not called unnamed.
-        let files = self.artifacts.files()?;
+        let files: BTreeSet<String> =
+            self.artifacts.files().await?.into_iter().map(|it| it.name).collect();
         let rows: Vec<(String, String)> = sqlx::query_as(NAMED_BY).fetch_all(&self.long).await?;
         let mut named = BTreeMap::<String, Vec<String>>::new();
         for (namer, sha256) in rows {
             named.entry(sha256).or_default().push(namer);
         }
-        let names = files.iter().filter_map(|path| file_name(path));
-        let mut unnamed: Vec<_> =
-            names.filter(|name| !named.contains_key(*name)).map(str::to_owned).collect();
-        unnamed.sort();
-        let mut lost = Vec::new();
-        for (sha256, mut named_by) in named {
-            let Some(damaged) = self.artifacts.lost(&sha256, thorough)? else { continue };
+        let unnamed = files.iter().filter(|name| !named.contains_key(*name)).cloned().collect();
+        // One that was listed is there; any other one may have been written since.
+        let doubted = named.into_iter().filter(|(sha256, _)| thorough || !files.contains(sha256));
+        let looked = stream::iter(doubted).map(async |(sha256, mut named_by)| {
+            let lost = self.artifacts.lost(&sha256).await?;
             named_by.sort();
-            lost.push(LostArtifact { sha256, named_by, damaged });
-        }
+            Ok::<_, Error>(lost.map(|damaged| LostArtifact { sha256, named_by, damaged }))
+        });
+        let lost: Vec<_> = looked.buffered(AT_ONCE).try_collect().await?;
+        let lost = lost.into_iter().flatten().collect();
         Ok(Disagreement { unnamed, lost })
     }
 
@@ -219,7 +391,22 @@ impl Store {
     /// leaves one behind.
     pub(super) async fn sweep_artifacts(&self) -> Result<()> {
         let named: Vec<String> = sqlx::query_scalar(NAMED).fetch_all(&self.reader).await?;
-        self.artifacts.sweep(&named.into_iter().collect(), SWEEP_GRACE)
+        self.artifacts.sweep(&named.into_iter().collect(), SWEEP_GRACE).await
+    }
+
+    /// Check that artifacts outside the data folder can be read and written, and are this
+    /// database's.
+    pub(super) async fn claim_artifacts(&self) -> Result<()> {
+        self.artifacts.claim(&self.installation().await?, false).await
+    }
+
+    /// As a start does that serves the database, for another process that writes artifacts.
+    ///
+    /// # Errors
+    /// [`Error::ArtifactsTaken`]: they are not those that the database was served with last;
+    /// [`Error::ArtifactsAway`], [`Error::Artifacts`], [`Error::File`].
+    pub async fn join_artifacts(&self) -> Result<()> {
+        self.artifacts.claim(&self.installation().await?, true).await
     }
 }
 
@@ -232,131 +419,27 @@ fn file_name(path: &Path) -> Option<&str> {
     path.file_name()?.to_str()
 }
 
-/// Time since the file was written; `None` if unknown or in the future.
-fn age(path: &Path) -> Option<Duration> {
-    fs::metadata(path).ok()?.modified().ok()?.elapsed().ok()
+/// A first question, which is not waited for as long as others.
+async fn in_time<T>(artifacts: &Artifacts, asked: impl Future<Output = Result<T>>) -> Result<T> {
+    let late = |_| Error::ArtifactsAway {
+        at: artifacts.to_string(),
+        why: format!("no answer within {} s", START_MAX.as_secs()),
+    };
+    tokio::time::timeout(START_MAX, asked).await.map_err(late)?
 }
 
-fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
-    let failed = |source| Error::File { path: folder.to_owned(), source };
-    match fs::read_dir(folder) {
-        Ok(found) => found.map(|entry| entry.map(|e| e.path()).map_err(failed)).collect(),
-        Err(error) if error.kind() == ErrorKind::NotFound => Ok(Vec::new()),
-        Err(error) => Err(failed(error)),
-    }
+/// Where it is, below the folder or the prefix.
+fn key(sha256: &str) -> Key {
+    Key::from(format!("{}/{sha256}", sha256.get(..2).unwrap_or("__")))
 }
 
-fn remove(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(Error::File { path: path.to_owned(), source: error })
-        }
-        _ => Ok(()),
-    }
+fn is_hex(name: &str, digits: usize) -> bool {
+    name.len() == digits && name.bytes().all(|b| b.is_ascii_hexdigit())
+}
+
+fn is_sha256(name: &str) -> bool {
+    is_hex(name, 64)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[tokio::test]
-    async fn files_that_no_row_names_and_rows_whose_file_is_lost_are_listed() {
-        let folder = tempfile::tempdir().unwrap();
-        let store = crate::testing::open(folder.path()).await.unwrap();
-        let put = |text: &str| store.artifacts().put(text.as_bytes()).unwrap();
-        let (whole, damaged, unnamed) = (put("whole"), put("damaged"), put("unnamed"));
-        let gone = sha256_hex(b"gone");
-        let insert = "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at, checkpoint, finished_at, result) \
-                      VALUES ($1, $2, '{}', $3, $4, 0, $5, $6, $7)";
-        let film = format!(r#"{{"sha256":"{damaged}"}}"#);
-        let rows = [
-            ("a", "training", "queued", Some(&whole), None, None),
-            ("b", "film", "succeeded", Some(&gone), Some(1_i64), Some(&film)),
-            ("c", "training", "queued", Some(&gone), None, None),
-        ];
-        for (id, kind, state, checkpoint, finished_at, result) in rows {
-            let row = sqlx::query(insert)
-                .bind(id)
-                .bind(kind)
-                .bind(sha256_hex(id.as_bytes()).into_bytes()[..32].to_vec());
-            let row = row.bind(state).bind(checkpoint).bind(finished_at).bind(result);
-            row.execute(store.writer().unwrap()).await.unwrap();
-        }
-        let pile = format!(r#"{{"frames":[{{"depth":"{whole}"}},{{"depth":"{gone}"}}]}}"#);
-        let sql = "INSERT INTO pile (job, number, body) VALUES ('a', 1, $1)";
-        sqlx::query(sql).bind(pile).execute(store.writer().unwrap()).await.unwrap();
-        fs::write(store.artifacts().path(&damaged), b"otherwise").unwrap();
-        let lost = |sha256: &String, named_by: &[&str], damaged| LostArtifact {
-            sha256: sha256.clone(),
-            named_by: named_by.iter().map(|it| (*it).to_owned()).collect(),
-            damaged,
-        };
-        let found = store.check_artifacts(false).await.unwrap();
-        let gone = lost(&gone, &["job b", "job c", "pile 1 of job a"], false);
-        assert_eq!(found, Disagreement { unnamed: vec![unnamed], lost: vec![gone.clone()] });
-        let mut both = vec![gone, lost(&damaged, &["job b"], true)];
-        both.sort_by(|a, b| a.sha256.cmp(&b.sha256));
-        assert_eq!(store.check_artifacts(true).await.unwrap().lost, both);
-    }
-
-    #[test]
-    fn bytes_come_back_under_their_hash_and_damage_is_noticed() {
-        let folder = tempfile::tempdir().unwrap();
-        let artifacts = Artifacts::in_folder(folder.path().join("blobs"));
-        let sha256 = artifacts.put(b"weights").unwrap();
-        assert_eq!(artifacts.put(b"weights").unwrap(), sha256);
-        assert_eq!(artifacts.get(&sha256).unwrap(), b"weights");
-        fs::write(artifacts.path(&sha256), b"weighs").unwrap();
-        assert!(matches!(artifacts.get(&sha256), Err(Error::Corrupt(_))));
-        assert!(matches!(artifacts.get(&"0".repeat(64)), Err(Error::File { .. })));
-    }
-
-    #[test]
-    fn sweeping_removes_what_no_row_names_and_half_written_files() {
-        let folder = tempfile::tempdir().unwrap();
-        let artifacts = Artifacts::in_folder(folder.path().to_owned());
-        let kept = artifacts.put(b"kept").unwrap();
-        let lost = artifacts.put(b"lost").unwrap();
-        fs::write(artifacts.path(&kept).with_extension("part"), b"half").unwrap();
-        artifacts.sweep(&HashSet::from([kept.clone()]), Duration::ZERO).unwrap();
-        assert_eq!(artifacts.get(&kept).unwrap(), b"kept");
-        assert!(artifacts.get(&lost).is_err());
-        assert_eq!(entries(artifacts.path(&kept).parent().unwrap()).unwrap().len(), 1);
-    }
-
-    #[test]
-    fn sweeping_spares_what_is_young_and_what_is_so_much_that_the_rows_must_be_missing() {
-        let folder = tempfile::tempdir().unwrap();
-        let artifacts = Artifacts::in_folder(folder.path().to_owned());
-        let young = artifacts.put(b"a restore brought it a moment ago").unwrap();
-        artifacts.sweep(&HashSet::new(), SWEEP_GRACE).unwrap();
-        assert!(artifacts.get(&young).is_ok());
-        let many: Vec<_> =
-            (0..=SWEPT_MAX).map(|k| artifacts.put(&k.to_le_bytes()).unwrap()).collect();
-        artifacts.sweep(&HashSet::new(), Duration::ZERO).unwrap();
-        assert!(many.iter().all(|sha256| artifacts.get(sha256).is_ok()));
-    }
-
-    #[test]
-    fn files_and_folders_of_others_are_neither_removed_nor_in_the_way() {
-        let folder = tempfile::tempdir().unwrap();
-        let artifacts = Artifacts::in_folder(folder.path().join("blobs"));
-        let kept = artifacts.put(b"kept").unwrap();
-        let foreign =
-            ["README", "ab", "lost+found/x", ".snapshot/ab/y", "cd/notes.txt", "cd/deeper/z"];
-        for name in foreign {
-            let path = artifacts.folder.join(name);
-            fs::create_dir_all(path.parent().unwrap()).unwrap();
-            fs::write(path, b"theirs").unwrap();
-        }
-        artifacts.sweep(&HashSet::from([kept.clone()]), Duration::ZERO).unwrap();
-        assert!(
-            foreign.iter().all(|name| artifacts.folder.join(name).exists())
-                && artifacts.get(&kept).is_ok()
-        );
-        let others = Artifacts::in_folder(folder.path().join("others"));
-        fs::create_dir_all(&others.folder).unwrap();
-        fs::write(others.folder.join("README"), b"theirs").unwrap();
-        assert!(!others.any().unwrap() && artifacts.any().unwrap());
-    }
-}
+mod tests;

@@ -5,9 +5,11 @@
 //! overwrites anything: the copy is made next to its destination under another name, verified, and
 //! renamed in one step.
 
+use super::artifacts::Artifacts;
 use super::holds::Held;
 use super::migrate::files::{self, Beside};
 use super::migrate::source::Source;
+use super::migrate::target::or_discard;
 use super::migrate::{self, CopyProgress, Migrated};
 use super::open::{archives, artifacts};
 use super::sqlite::{self, DATABASE};
@@ -60,7 +62,12 @@ const RESTORE: &str = "flip restore";
 /// [`Error::Occupied`], [`Error::Absent`]; [`Error::Damaged`], [`Error::Newer`] of the database;
 /// [`Error::Full`], [`Error::File`]. Nothing is left behind.
 pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
-    let (beside, made) = copy_beside(from, to).await?;
+    copy_folder(&from.into(), to).await
+}
+
+/// As [`copy()`], with artifacts from wherever they are.
+async fn copy_folder(from: &Storage, to: &Path) -> Result<Copied> {
+    let (beside, made) = copy_beside(from, &to.into()).await?;
     beside.put_in_place(to)?;
     Ok(Copied { folder: to.to_owned(), ..made })
 }
@@ -73,10 +80,20 @@ pub async fn copy(from: &Path, to: &Path) -> Result<Copied> {
 /// # Errors
 /// As [`copy()`].
 pub async fn restore(backup: &Path, to: &Path, keep_tokens: bool) -> Result<Copied> {
-    let (beside, made) = copy_beside(backup, to).await?;
-    let (held, revoked_tokens) = make_safe(&beside.folder, backup, keep_tokens).await?;
-    beside.put_in_place(to)?;
-    Ok(Copied { folder: to.to_owned(), held: Some(held), revoked_tokens, ..made })
+    restore_folder(backup, &to.into(), keep_tokens).await
+}
+
+/// As [`restore()`], with artifacts to wherever they shall be.
+async fn restore_folder(backup: &Path, to: &Storage, keep_tokens: bool) -> Result<Copied> {
+    let new = to.artifacts().check_new(&artifacts(backup)).await?;
+    let restored = async {
+        let (beside, made) = copy_beside(&backup.into(), to).await?;
+        let (held, revoked_tokens) = make_safe(&beside.folder, backup, keep_tokens).await?;
+        beside.put_in_place(to.folder())?;
+        let folder = to.folder().to_owned();
+        Ok(Copied { folder, held: Some(held), revoked_tokens, ..made })
+    };
+    or_discard(restored.await, new.as_ref()).await
 }
 
 /// Bring a copied database to this program's schema, hold its bench and revoke its tokens; returns
@@ -109,7 +126,7 @@ pub async fn copy_of(
     progress: &(dyn Fn(CopyProgress<'_>) + Sync),
 ) -> Result<Copied> {
     if !from.is_on_server() {
-        return copy(from.folder(), to).await;
+        return copy_folder(from, to).await;
     }
     Ok(migrate::copy(Source::beside(from).await?, &to.into(), progress).await?.into())
 }
@@ -127,7 +144,7 @@ pub async fn restore_to(
     progress: &(dyn Fn(CopyProgress<'_>) + Sync),
 ) -> Result<Copied> {
     if !to.is_on_server() {
-        return restore(backup, to.folder(), keep_tokens).await;
+        return restore_folder(backup, to, keep_tokens).await;
     }
     // Without its files, which go to their place directly.
     let temporary = std::env::temp_dir();
@@ -180,9 +197,10 @@ async fn revoke_tokens(store: &Store) -> Result<usize> {
     Ok(open.len())
 }
 
-async fn copy_beside(from: &Path, to: &Path) -> Result<(Beside, Copied)> {
-    let beside = Beside::for_new(to)?;
-    let made = fill(from, &beside.folder).await?;
+async fn copy_beside(from: &Storage, to: &Storage) -> Result<(Beside, Copied)> {
+    let beside = Beside::for_new(to.folder())?;
+    let to_artifacts = to.artifacts_beside(&beside.folder);
+    let made = fill(from, &beside.folder, &to_artifacts).await?;
     Ok((beside, made))
 }
 
@@ -225,13 +243,14 @@ async fn copy_database(from: &Path, folder: &Path) -> Result<Store> {
 }
 
 /// Database first: every file it names already exists then.
-async fn fill(from: &Path, folder: &Path) -> Result<Copied> {
-    let copy = copy_database(from, folder).await?;
+async fn fill(from: &Storage, folder: &Path, to: &Artifacts) -> Result<Copied> {
+    let copy = copy_database(from.folder(), folder).await?;
+    from.artifacts().are_of(&copy.installation().await?).await?;
     let database = folder.join(DATABASE);
     let failed = |source| Error::File { path: database.clone(), source };
     let mut reader = copy.reader.acquire().await?;
-    let (from, to) = ((&artifacts(from), &archives(from)), (&artifacts(folder), &archives(folder)));
-    let files = files::copy(&mut reader, from, to, &|_| {}).await?;
+    let from = (&from.artifacts(), &archives(from.folder()));
+    let files = files::copy(&mut reader, from, (to, &archives(folder)), &|_| {}).await?;
     drop(reader);
     let found = copy.verify_audit(None).await?;
     copy.close().await;
@@ -413,10 +432,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         let store = Store::open(&path("data")).await.unwrap();
-        let blobs = ["whole", "damaged", "gone"].map(|text| {
-            let sha256 = store.artifacts().put(text.as_bytes()).unwrap();
-            (path("data").join("blobs").join(&sha256[..2]).join(&sha256), sha256)
-        });
+        let mut blobs = Vec::new();
+        for text in ["whole", "damaged", "gone"] {
+            let sha256 = store.artifacts().put(text.as_bytes()).await.unwrap();
+            blobs.push((path("data").join("blobs").join(&sha256[..2]).join(&sha256), sha256));
+        }
         let insert = "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at, checkpoint) \
                       VALUES ($1, 'training', '{}', randomblob(32), 'queued', 0, $1)";
         let writer = store.writer().unwrap();

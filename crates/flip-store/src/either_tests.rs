@@ -277,7 +277,7 @@ async fn a_measurement_is_withdrawn_and_the_one_before_it_counts_again() {
 #[tokio::test]
 async fn what_jobs_save_comes_back_and_an_end_takes_its_files_along() {
     let (_folder, store) = filled().await;
-    let (none, named) = ("0".repeat(64), store.artifacts().put(b"frame").unwrap());
+    let (none, named) = ("0".repeat(64), store.artifacts().put(b"frame").await.unwrap());
     let mut tx = store.write().await.unwrap();
     let set = NewSet {
         parameters: ParameterSet::from_unit([0.5; 9]),
@@ -336,10 +336,10 @@ async fn what_jobs_save_comes_back_and_an_end_takes_its_files_along() {
     assert_eq!(store.running_node_actions().await.unwrap(), ["A".repeat(26)]);
     assert!(store.webhooks().await.unwrap()[0].webhook.failing_since.is_some());
     store.forget_artifact(&named).await.unwrap();
-    assert!(store.artifacts().get(&named).is_ok(), "a pile names it");
-    let other = store.artifacts().put(b"nobody's").unwrap();
+    assert!(store.artifacts().get(&named).await.is_ok(), "a pile names it");
+    let other = store.artifacts().put(b"nobody's").await.unwrap();
     store.forget_artifact(&other).await.unwrap();
-    assert!(store.artifacts().get(&other).is_err());
+    assert!(store.artifacts().get(&other).await.is_err());
     store.sweep_artifacts().await.unwrap();
 }
 

@@ -114,6 +114,30 @@ pub enum Error {
     /// The connection to the database's server is lost, or there never was one.
     #[error("the server of the database cannot be reached ({0}): FLIP goes on when it is back")]
     Unreachable(String),
+    /// Nothing that names a place for artifacts.
+    #[error("{0}")]
+    NoArtifacts(String),
+    /// The place for artifacts is used by another database, or not empty.
+    #[error("{0}")]
+    ArtifactsTaken(String),
+    /// The bucket does not answer, or says that it cannot now.
+    #[error(
+        "the artifacts in {at} cannot be reached ({why}): is AWS_ENDPOINT the address of their server, and does it run?"
+    )]
+    ArtifactsAway {
+        /// The bucket.
+        at: String,
+        /// What was said instead.
+        why: String,
+    },
+    /// The bucket refuses, or there is none.
+    #[error("the artifacts in {at} cannot be used: {why}")]
+    Artifacts {
+        /// The bucket.
+        at: String,
+        /// Why.
+        why: String,
+    },
     /// A row holds a word that this program does not know: a kind, a state, an outcome.
     #[error(
         "table {table}, row {row}: {column} is `{word}`, which this FLIP does not know: a newer one wrote it, or it was changed outside FLIP"

@@ -42,14 +42,15 @@ impl Store {
     /// # Errors
     /// [`Error::Held`] while another process has the folder or serves the database; [`Error::Lost`],
     /// [`Error::Damaged`], [`Error::Newer`]: nothing was changed; [`Error::Old`], [`Error::Server`],
-    /// [`Error::Unreachable`], [`Error::Database`], [`Error::File`].
+    /// [`Error::Unreachable`], [`Error::Database`], [`Error::File`]; [`Error::ArtifactsTaken`],
+    /// [`Error::ArtifactsAway`], [`Error::Artifacts`].
     pub async fn open(storage: impl Into<Storage>) -> Result<Self> {
         let storage = storage.into();
         let folder = storage.folder();
         sound::make_folder(folder)?;
         let lock = DataLock::take(folder)?;
         let store = match storage.server() {
-            None => Self::open_file(folder, lock).await?,
+            None => Self::open_file(&storage, lock).await?,
             Some(address) => {
                 if folder.join(DATABASE).exists() {
                     return Err(Error::Two(folder.to_owned()));
@@ -62,13 +63,15 @@ impl Store {
         };
         store.seed_published_powders().await?;
         store.take_stock().await?;
+        store.claim_artifacts().await?;
         store.sweep_artifacts().await?;
         Ok(store)
     }
 
-    async fn open_file(data_dir: &Path, lock: DataLock) -> Result<Self> {
+    async fn open_file(storage: &Storage, lock: DataLock) -> Result<Self> {
+        let data_dir = storage.folder();
         let database = data_dir.join(DATABASE);
-        sound::prepare(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))?;
+        sound::prepare(data_dir, &database, (&storage.artifacts(), &archives(data_dir)))?;
         let file = sqlite::prepared(data_dir).await?;
         sqlite::check_library(&file).await?;
         sound::check(&database).await?;
@@ -77,7 +80,7 @@ impl Store {
         let writer = sqlite::writer(data_dir).await?;
         // Not the last one: that would move the write-ahead log into the database.
         file.close().await;
-        Self::assemble(data_dir, Some(writer), Some(Arc::new(lock)), None).await
+        Self::assemble(storage, Some(writer), Some(Arc::new(lock)), None).await
     }
 
     /// Connect to a database on a server that has this program's schema.
@@ -104,7 +107,7 @@ impl Store {
             apart,
             long,
             writer,
-            artifacts: artifacts(folder),
+            artifacts: storage.artifacts(),
             archives: archives(folder),
             newest_event,
             server: Some(Arc::new(server)),
@@ -137,7 +140,7 @@ impl Store {
             false => None,
         };
         database.close().await;
-        Self::assemble(data_dir, None, None, copied).await
+        Self::assemble(&storage, None, None, copied).await
     }
 
     /// As [`Self::open_to_read`], after the checks made at every startup; `None` if there is no
@@ -156,11 +159,11 @@ impl Store {
         }
         let data_dir = storage.folder();
         let database = data_dir.join(DATABASE);
-        if !sound::is_there(data_dir, &database, (&artifacts(data_dir), &archives(data_dir)))? {
+        if !sound::is_there(data_dir, &database, (&storage.artifacts(), &archives(data_dir)))? {
             return Ok(None);
         }
         sound::check(&database).await?;
-        Ok(Some(Self::open_to_read(data_dir).await?))
+        Ok(Some(Self::open_to_read(storage).await?))
     }
 
     /// Open what is there alongside the process that holds it: for short transactions that need no
@@ -179,15 +182,16 @@ impl Store {
         sound::check_version(&file, &sqlite::migrations()).await?;
         let writer = sqlite::writer(data_dir).await?;
         file.close().await;
-        Self::assemble(data_dir, Some(writer), None, None).await
+        Self::assemble(&storage, Some(writer), None, None).await
     }
 
     async fn assemble(
-        data_dir: &Path,
+        storage: &Storage,
         writer: Option<AnyPool>,
         lock: Option<Arc<DataLock>>,
         copied: Option<TempDir>,
     ) -> Result<Self> {
+        let data_dir = storage.folder();
         let holds_database = copied.as_ref().map_or(data_dir, TempDir::path);
         let pool = async |max| sqlite::readers(holds_database, connections(max)).await;
         let (reader, apart) = (pool(READERS).await?, pool(1).await?);
@@ -198,7 +202,7 @@ impl Store {
             apart,
             long,
             writer,
-            artifacts: artifacts(data_dir),
+            artifacts: storage.artifacts(),
             archives: archives(data_dir),
             newest_event,
             server: None,

@@ -50,7 +50,7 @@ pub(super) fn is_there(
     let size = |path: &Path| fs::metadata(path).map_or(0, |it| it.len());
     let log = database.with_extension("db-wal");
     let is_empty = size(database) == 0;
-    if is_empty && (size(&log) > 0 || files.0.any()? || files.1.any()) {
+    if is_empty && (size(&log) > 0 || files.0.any_in_data_folder()? || files.1.any()) {
         return Err(Error::Lost(data_dir.to_owned()));
     }
     Ok(!is_empty)

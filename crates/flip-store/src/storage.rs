@@ -1,6 +1,7 @@
 //! Where everything is stored.
 
-use super::{Result, postgres};
+use super::artifacts::{Artifacts, Patience};
+use super::{Result, open, postgres};
 use sqlx::any::AnyConnectOptions;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -11,12 +12,14 @@ use std::path::{Path, PathBuf};
 pub struct Storage {
     folder: PathBuf,
     server: Option<AnyConnectOptions>,
+    /// `None`: in the folder.
+    artifacts: Option<Artifacts>,
 }
 
 impl Storage {
     /// All in one folder.
     pub fn in_folder(folder: impl Into<PathBuf>) -> Self {
-        Self { folder: folder.into(), server: None }
+        Self { folder: folder.into(), server: None, artifacts: None }
     }
 
     /// A database at an address like `postgres://user@host/flip`; files in the folder.
@@ -24,7 +27,44 @@ impl Storage {
     /// # Errors
     /// [`Error::Server`](super::Error::Server) if this is no such address.
     pub fn on_server(database_url: &str, folder: impl Into<PathBuf>) -> Result<Self> {
-        Ok(Self { folder: folder.into(), server: Some(postgres::address(database_url)?) })
+        let server = Some(postgres::address(database_url)?);
+        Ok(Self { folder: folder.into(), server, artifacts: None })
+    }
+
+    /// As it is, with artifacts in another folder (a path, or `file:///srv/flip`), or in a bucket
+    /// (`s3://bucket/prefix`) whose server and keys the environment names as for Amazon's own
+    /// programs: `AWS_ENDPOINT`, `AWS_REGION`, `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY` and
+    /// others. Nothing is read or written yet.
+    ///
+    /// # Errors
+    /// [`Error::NoArtifacts`](super::Error::NoArtifacts) if this is no such place;
+    /// [`Error::Artifacts`](super::Error::Artifacts) if a variable is wrong or missing.
+    pub fn with_artifacts(self, address: &str) -> Result<Self> {
+        // Others than those in UTF-8 are no settings of S3.
+        let variables = std::env::vars_os().filter_map(|(name, value)| {
+            Some((name.into_string().ok()?, value.into_string().ok()?))
+        });
+        let artifacts = Artifacts::at(address, variables, Patience::default())?;
+        Ok(self.with_artifacts_in(artifacts))
+    }
+
+    pub(super) fn with_artifacts_in(self, artifacts: Artifacts) -> Self {
+        Self { artifacts: Some(artifacts), ..self }
+    }
+
+    /// Whether artifacts are elsewhere than in the folder.
+    pub fn has_artifacts_elsewhere(&self) -> bool {
+        self.artifacts.is_some()
+    }
+
+    /// Where the artifacts are.
+    pub fn artifacts(&self) -> Artifacts {
+        self.artifacts_beside(&self.folder)
+    }
+
+    /// As [`Self::artifacts`], while the data folder is at another path.
+    pub(super) fn artifacts_beside(&self, folder: &Path) -> Artifacts {
+        self.artifacts.clone().unwrap_or_else(|| open::artifacts(folder))
     }
 
     /// The folder for files.
@@ -86,7 +126,10 @@ impl fmt::Display for Storage {
 
 impl fmt::Debug for Storage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Storage({self})")
+        match &self.artifacts {
+            None => write!(f, "Storage({self})"),
+            Some(artifacts) => write!(f, "Storage({self}, {artifacts})"),
+        }
     }
 }
 

@@ -5,6 +5,8 @@
 //! shell waits for the end of this process, however it ends, then stops the cluster and removes the
 //! folder.
 
+pub mod s3;
+
 use sqlx::any::AnyPoolOptions;
 use sqlx::postgres::PgConnection;
 use sqlx::{Any, AnyPool, AssertSqlSafe, Connection, Transaction};

@@ -224,7 +224,7 @@ impl LaneThread {
         self.condition.stands(pan.clone());
         let (mut pause, since) = (AGAIN, now());
         while let Err(error) =
-            self.runtime.block_on(self.try_to_write(weighing, ended, latch.as_ref(), pan))
+            self.runtime.block_on(self.try_to_write(weighing, ended, latch.as_ref(), pan, true))
         {
             tracing::error!(weighing = weighing.id, %error, "the end of a weighing is not written down yet");
             let unwritten = Unwritten { weighing: weighing.id.clone(), since, why: error.remedy() };
@@ -260,7 +260,8 @@ impl LaneThread {
     }
 
     fn write_at_last(&self, weighing: &Weighing, ended: &Ended, latch: Option<&Latch>, pan: &Pan) {
-        if let Err(error) = self.runtime.block_on(self.try_to_write(weighing, ended, latch, pan)) {
+        let written = self.runtime.block_on(self.try_to_write(weighing, ended, latch, pan, false));
+        if let Err(error) = written {
             let ending = &ended.ending;
             tracing::error!(weighing = weighing.id, %error, ?ending, "the end of a weighing is lost: the next start calls it unknown");
         }
@@ -272,10 +273,11 @@ impl LaneThread {
         ended: &Ended,
         latch: Option<&Latch>,
         pan: &Pan,
+        waits: bool,
     ) -> store::Result<()> {
         // Before the trace: writing its file would recreate a folder that the database has lost.
         self.store.is_in_place()?;
-        let ending = self.with_trace(ended);
+        let ending = self.with_trace(ended, waits).await?;
         self.journal.hear(&weighing.id, self.rig.exchanges(), None);
         self.journal.write_down(&self.store, &self.condition).await?;
         let mut tx = self.store.write().await?;
@@ -289,18 +291,24 @@ impl LaneThread {
         tx.commit().await
     }
 
-    /// The ending with its ticks as a file; without them if there is no room.
-    fn with_trace(&self, ended: &Ended) -> Ending {
-        let Some(ticks) = &ended.ticks else { return ended.ending.clone() };
-        let trace =
-            serde_json::to_vec(ticks).map_err(|error| store::Error::Corrupt(error.to_string()));
-        let trace = trace.and_then(|bytes| self.store.artifacts().put(&bytes));
+    /// The ending with its ticks as a file; without them if there is no room, or if their bucket is
+    /// away and nobody waits for it.
+    async fn with_trace(&self, ended: &Ended, waits: bool) -> store::Result<Ending> {
+        let Some(ticks) = &ended.ticks else { return Ok(ended.ending.clone()) };
+        let trace = match serde_json::to_vec(ticks) {
+            Ok(bytes) => self.store.artifacts().put(&bytes).await,
+            Err(error) => Err(store::Error::Corrupt(error.to_string())),
+        };
+        let trace = match trace {
+            Err(error @ store::Error::ArtifactsAway { .. }) if waits => return Err(error),
+            trace => trace,
+        };
         let lost = trace.as_ref().err().map(|error| format!("the trace was not stored: {error}"));
-        Ending {
+        Ok(Ending {
             trace: trace.ok(),
             error: ended.ending.error.clone().or(lost),
             ..ended.ending.clone()
-        }
+        })
     }
 }
 

@@ -88,19 +88,22 @@ impl LaneThread {
     async fn earlier(&self, weighing: &Weighing) -> store::Result<Vec<Vec<Fall>>> {
         let (powder, lot) = (&weighing.powder, weighing.asked.lot.as_deref());
         let traces = self.store.traces_of(powder, lot, self.rig.kind(), REMEMBERED).await?;
-        let spoonfuls = |trace: &String| {
-            let bytes = self.store.artifacts().get(trace).map_err(|error| error.to_string())?;
+        let spoonfuls = async |trace: &String| {
+            let bytes =
+                self.store.artifacts().get(trace).await.map_err(|error| error.to_string())?;
             let ticks: Vec<Tick> =
                 serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
             Ok::<_, String>(Fall::of(&ticks))
         };
         // A dose whose trace is lost counts as unknown; the others are still used.
-        let known = |trace: &String| {
-            spoonfuls(trace)
-                .inspect_err(|error| tracing::warn!(trace, error, "an earlier dose cannot be read"))
-                .ok()
-        };
-        Ok(traces.iter().filter_map(known).flatten().collect())
+        let mut known = Vec::new();
+        for trace in &traces {
+            match spoonfuls(trace).await {
+                Ok(spoonfuls) => known.extend(spoonfuls),
+                Err(error) => tracing::warn!(trace, error, "an earlier dose cannot be read"),
+            }
+        }
+        Ok(known)
     }
 
     /// Records that a dose was forecast from these spoonfuls of earlier ones.

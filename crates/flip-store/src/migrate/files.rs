@@ -3,8 +3,9 @@
 
 use super::CopyProgress;
 use crate::archive::{self, Archives};
-use crate::artifacts::{Artifacts, NAMED, sha256_hex};
+use crate::artifacts::{AT_ONCE, Artifacts, NAMED, sha256_hex};
 use crate::{Error, Result, new_id};
+use futures::{StreamExt, TryStreamExt, stream};
 use sqlx::AnyConnection;
 use std::fs::{self, DirBuilder, File};
 use std::os::unix::fs::DirBuilderExt;
@@ -24,7 +25,8 @@ pub(crate) struct Files {
 /// Copy every file that the rows name and read each copy back.
 ///
 /// # Errors
-/// [`Error::Database`], [`Error::Full`], [`Error::File`].
+/// [`Error::Database`], [`Error::Full`], [`Error::File`]; [`Error::ArtifactsAway`],
+/// [`Error::Artifacts`].
 pub(crate) async fn copy(
     connection: &mut AnyConnection,
     from: (&Artifacts, &Archives),
@@ -36,9 +38,14 @@ pub(crate) async fn copy(
         sqlx::query_as(archive::NAMED).fetch_all(connection).await?;
     let of = named.len() + named_archives.len();
     let mut lost = Vec::new();
-    for (k, sha256) in named.iter().enumerate() {
-        lost.extend((!copy_artifact(sha256, from.0, to.0)?).then(|| sha256.clone()));
-        progress(CopyProgress::Files { done: k + 1, of });
+    let copied = stream::iter(&named)
+        .map(async |sha256| Ok::<_, Error>((copy_artifact(sha256, from.0, to.0).await?, sha256)));
+    let mut copied = copied.buffered(AT_ONCE);
+    let mut done = 0;
+    while let Some((is_whole, sha256)) = copied.try_next().await? {
+        lost.extend((!is_whole).then(|| sha256.clone()));
+        done += 1;
+        progress(CopyProgress::Files { done, of });
     }
     let archives = copy_archives(&named_archives, from.1, to.1)?;
     progress(CopyProgress::Files { done: of, of });
@@ -47,11 +54,11 @@ pub(crate) async fn copy(
 }
 
 /// Copy a file and read the copy back; `false`: it is not intact in the original.
-fn copy_artifact(sha256: &str, from: &Artifacts, to: &Artifacts) -> Result<bool> {
-    match from.get(sha256) {
+async fn copy_artifact(sha256: &str, from: &Artifacts, to: &Artifacts) -> Result<bool> {
+    match from.get(sha256).await {
         Ok(bytes) => {
-            to.put(&bytes)?;
-            to.get(sha256)?;
+            to.put(&bytes).await?;
+            to.get(sha256).await?;
             Ok(true)
         }
         Err(error) if error.is_lost_part() => Ok(false),

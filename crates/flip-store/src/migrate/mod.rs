@@ -11,10 +11,11 @@ mod counters;
 pub(crate) mod files;
 mod rows;
 pub(crate) mod source;
-mod target;
+pub(crate) mod target;
 
 use super::{Result, Storage, Store};
 use catalogue::Catalogue;
+use files::Files;
 pub use rows::TableRows;
 use serde::Serialize;
 use source::Source;
@@ -93,17 +94,14 @@ pub(crate) async fn copy(
     progress: &(dyn Fn(CopyProgress<'_>) + Sync),
 ) -> Result<Migrated> {
     from.check_started().await?;
-    let mut target = Target::prepare(to).await?;
-    // Files first: a running server removes those that its rows no longer name.
-    let files = files::copy(
-        &mut from.tx,
-        (&from.artifacts, &from.archives),
-        (&target.artifacts, &target.archives),
-        progress,
-    )
-    .await?;
-    let tables = copy_rows(&mut from, &mut target, progress).await?;
-    from.close().await?;
+    let mut target = Target::prepare(to, &from.artifacts).await?;
+    let (files, tables) = match copy_into(&mut target, from, progress).await {
+        Ok(copied) => copied,
+        Err(error) => {
+            target.discard().await;
+            return Err(error);
+        }
+    };
     progress(CopyProgress::ReadingBack);
     let found = target.keep(&tables).await?;
     Ok(Migrated {
@@ -117,6 +115,24 @@ pub(crate) async fn copy(
         last_hash: found.audit.last_hash,
         audit_broken: found.audit.broken.map(|it| format!("record {}: {}", it.seq, it.why)),
     })
+}
+
+async fn copy_into(
+    target: &mut Target,
+    mut from: Source,
+    progress: &(dyn Fn(CopyProgress<'_>) + Sync),
+) -> Result<(Files, Vec<TableRows>)> {
+    // Files first: a running server removes those that its rows no longer name.
+    let files = files::copy(
+        &mut from.tx,
+        (&from.artifacts, &from.archives),
+        (&target.artifacts, &target.archives),
+        progress,
+    )
+    .await?;
+    let tables = copy_rows(&mut from, target, progress).await?;
+    from.close().await?;
+    Ok((files, tables))
 }
 
 async fn copy_rows(

@@ -81,7 +81,7 @@ impl Source {
                 (tx, Opened::Server(reader))
             }
         };
-        let (artifacts, archives) = (artifacts(folder), archives(folder));
+        let (artifacts, archives) = (side.artifacts(), archives(folder));
         let name = side.to_string();
         Ok(Self { tx, artifacts, archives, name, opened, _alone: alone })
     }
@@ -101,12 +101,14 @@ impl Source {
     /// a start know which those are. This is the first question, and sets the moment.
     ///
     /// # Errors
-    /// [`Error::Unstarted`]
+    /// [`Error::Unstarted`]; [`Error::ArtifactsTaken`]: its artifacts are elsewhere.
     pub async fn check_started(&mut self) -> Result<()> {
-        match stock::stock(&mut self.tx).await? {
-            Stock::NotTaken => Err(Error::Unstarted(self.name.clone())),
-            Stock::Taken | Stock::Gone => Ok(()),
+        if matches!(stock::stock(&mut self.tx).await?, Stock::NotTaken) {
+            return Err(Error::Unstarted(self.name.clone()));
         }
+        let installation: String =
+            sqlx::query_scalar("SELECT id FROM installation").fetch_one(&mut *self.tx).await?;
+        self.artifacts.are_of(&installation).await
     }
 
     /// End the transaction and the connections.

@@ -7,7 +7,7 @@ use crate::archive::Archives;
 use crate::artifacts::Artifacts;
 use crate::audit::AuditVerification;
 use crate::lock::DataLock;
-use crate::open::{archives, artifacts};
+use crate::open::archives;
 use crate::sqlite::{self, DATABASE};
 use crate::{Error, Result, Storage, Store, postgres, sound, sql::Flag, verify};
 use sqlx::any::AnyConnectOptions;
@@ -26,6 +26,8 @@ pub(super) struct Target {
     pub tx: Transaction<'static, Any>,
     pub artifacts: Artifacts,
     pub archives: Archives,
+    /// Artifacts outside the folder, where nothing was before.
+    new_artifacts: Option<Artifacts>,
     opened: Opened,
 }
 
@@ -45,20 +47,23 @@ impl Target {
     ///
     /// # Errors
     /// [`Error::Occupied`], [`Error::Filled`]: somebody's data is there; [`Error::Held`],
-    /// [`Error::Server`], [`Error::Newer`], [`Error::Unreachable`], [`Error::Full`], [`Error::File`].
-    pub async fn prepare(side: &Storage) -> Result<Self> {
+    /// [`Error::Server`], [`Error::Newer`], [`Error::Unreachable`], [`Error::Full`], [`Error::File`];
+    /// [`Error::ArtifactsTaken`], [`Error::ArtifactsAway`], [`Error::Artifacts`].
+    pub async fn prepare(side: &Storage, from: &Artifacts) -> Result<Self> {
         let mut made = match side.server() {
-            None => Self::folder(side.folder()).await?,
-            Some(address) => Self::server(address, side.folder()).await?,
+            None => Self::folder(side).await?,
+            Some(address) => Self::server(address, side).await?,
         };
         made.empty().await?;
+        made.new_artifacts = made.artifacts.check_new(from).await?;
         Ok(made)
     }
 
-    async fn folder(to: &Path) -> Result<Self> {
+    async fn folder(side: &Storage) -> Result<Self> {
+        let to = side.folder();
         let beside = Beside::for_new(to)?;
         let folder = &beside.folder;
-        let (artifacts, archives) = (artifacts(folder), archives(folder));
+        let (artifacts, archives) = (side.artifacts_beside(folder), archives(folder));
         sound::prepare(folder, &folder.join(DATABASE), (&artifacts, &archives))?;
         let file = sqlite::prepared(folder).await?;
         sqlite::check_library(&file).await?;
@@ -67,18 +72,21 @@ impl Target {
         file.close().await;
         let tx = writer.begin_with("BEGIN IMMEDIATE").await?;
         let to = to.to_owned();
-        Ok(Self { tx, artifacts, archives, opened: Opened::Folder { beside, to, writer } })
+        let opened = Opened::Folder { beside, to, writer };
+        Ok(Self { tx, artifacts, archives, new_artifacts: None, opened })
     }
 
-    async fn server(address: &AnyConnectOptions, data_dir: &Path) -> Result<Self> {
+    async fn server(address: &AnyConnectOptions, side: &Storage) -> Result<Self> {
+        let data_dir = side.folder();
         let files = NewFiles::in_folder(data_dir)?;
         let alone = postgres::prepare(address).await?;
         let writer = postgres::writer(address.clone()).await?;
         let mut tx = writer.begin_with(postgres::BEGIN).await?;
         postgres::lock(&mut tx).await?;
         tx.execute(postgres::PATIENT).await?;
-        let (artifacts, archives) = (artifacts(data_dir), archives(data_dir));
-        Ok(Self { tx, artifacts, archives, opened: Opened::Server { files, writer, alone } })
+        let (artifacts, archives) = (side.artifacts(), archives(data_dir));
+        let opened = Opened::Server { files, writer, alone };
+        Ok(Self { tx, artifacts, archives, new_artifacts: None, opened })
     }
 
     /// Refuse rows of anybody's, and remove those of the migrations.
@@ -117,30 +125,67 @@ impl Target {
     /// [`Error::Corrupt`], [`Error::Damaged`]: something else came back; [`Error::Full`],
     /// [`Error::Unreachable`] and others. Nothing is kept.
     pub async fn keep(self, copied: &[TableRows]) -> Result<ReadBack> {
-        let Self { mut tx, archives, opened, .. } = self;
+        let Self { mut tx, archives, opened, new_artifacts, .. } = self;
+        let copy = (&archives, copied);
         match opened {
             Opened::Folder { beside, to, writer } => {
-                tx.commit().await?;
-                let database = put_down(&beside.folder, writer).await?;
-                let store = Store::open_to_read(&beside.folder).await?;
-                let audit = read_back(&mut store.long.begin().await?, &archives, copied).await?;
-                store.close().await;
-                beside.put_in_place(&to)?;
-                Ok(ReadBack { audit, database_bytes: database })
+                let kept = async {
+                    tx.commit().await?;
+                    let read = read_folder(&beside.folder, writer, copy).await?;
+                    beside.put_in_place(&to)?;
+                    Ok(read)
+                };
+                or_discard(kept.await, new_artifacts.as_ref()).await
             }
             Opened::Server { mut files, writer, alone } => {
-                let audit = read_back(&mut tx, &archives, copied).await?;
-                let size = sqlx::query_scalar("SELECT pg_database_size(current_database())");
-                let size: i64 = size.fetch_one(&mut *tx).await?;
+                let read = read_server(&mut tx, copy).await;
+                let read = or_discard(read, new_artifacts.as_ref()).await?;
                 // From here on the rows may be there, even if the answer is lost on the way.
                 files.keep();
                 tx.commit().await?;
                 writer.close().await;
                 alone.close().await?;
-                Ok(ReadBack { audit, database_bytes: size.unsigned_abs() })
+                Ok(read)
             }
         }
     }
+
+    /// Remove what is not removed with the folder, and everything else with it.
+    pub async fn discard(self) {
+        if let Some(artifacts) = &self.new_artifacts {
+            artifacts.discard().await;
+        }
+    }
+}
+
+/// A result; after an error, artifacts that were copied to an empty place are removed again.
+pub(crate) async fn or_discard<T>(done: Result<T>, new: Option<&Artifacts>) -> Result<T> {
+    if let (Err(_), Some(artifacts)) = (&done, new) {
+        artifacts.discard().await;
+    }
+    done
+}
+
+async fn read_folder(
+    folder: &Path,
+    writer: AnyPool,
+    (archives, copied): (&Archives, &[TableRows]),
+) -> Result<ReadBack> {
+    let database_bytes = put_down(folder, writer).await?;
+    let store = Store::open_to_read(folder).await?;
+    let audit = read_back(&mut store.long.begin().await?, archives, copied).await?;
+    store.close().await;
+    Ok(ReadBack { audit, database_bytes })
+}
+
+async fn read_server(
+    tx: &mut Transaction<'_, Any>,
+    (archives, copied): (&Archives, &[TableRows]),
+) -> Result<ReadBack> {
+    let audit = read_back(tx, archives, copied).await?;
+    let size = sqlx::query_scalar("SELECT pg_database_size(current_database())");
+    let size: i64 = size.fetch_one(&mut **tx).await?;
+    Ok(ReadBack { audit, database_bytes: size.unsigned_abs() })
 }
 
 /// Everything into the file, on the disk, and whole; returns its size.

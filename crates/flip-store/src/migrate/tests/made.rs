@@ -28,7 +28,7 @@ fn at(ms: i64) -> Timestamp {
 /// A laboratory that has worked: doses, one of them archived, files, people, and a whole audit trail.
 /// Returns the SHA-256 of the trace.
 pub(super) async fn work(store: &Store) -> String {
-    let trace = store.artifacts().put("ticks of a dose, µ".as_bytes()).unwrap();
+    let trace = store.artifacts().put("ticks of a dose, µ".as_bytes()).await.unwrap();
     let mut tx = store.write().await.unwrap();
     tx.insert_powder("chalk", "Chalk, ‘fine’ 粉", Some(false)).await.unwrap();
     let said = json!({ "powder": { "id": "chalk", "name": "Chalk, ‘fine’ 粉" } });

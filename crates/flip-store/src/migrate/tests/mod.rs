@@ -1,5 +1,6 @@
 //! A store comes through a copy unchanged, in either direction, or nothing is copied.
 
+mod buckets;
 mod made;
 
 use super::*;
@@ -99,7 +100,7 @@ async fn a_laboratory_moves_to_postgresql_and_back_and_answers_the_same() {
         let store = open(to).await;
         assert_eq!(sorted(store.table_rows().await.unwrap()), before, "a start adds nothing");
         assert_same(&answers(&store).await, &said);
-        assert_eq!(store.artifacts().get(&trace).unwrap(), "ticks of a dose, µ".as_bytes());
+        assert_eq!(store.artifacts().get(&trace).await.unwrap(), "ticks of a dose, µ".as_bytes());
         let found = store.verify_audit(Some(&whole.last_hash)).await.unwrap();
         assert_eq!((found.broken, found.holds_hash), (None, Some(true)));
         let held = migrate(to, &places.folder("no"), &quiet).await.unwrap_err();
@@ -228,7 +229,7 @@ async fn a_backup_of_a_server_is_a_folder_and_comes_back_held_and_without_tokens
         );
         let found = store.verify_audit(Some(&made.last_hash)).await.unwrap();
         assert_eq!((found.broken, found.holds_hash), (None, Some(true)));
-        assert!(store.artifacts().get(&sha256_hex("ticks of a dose, µ".as_bytes())).is_ok());
+        assert!(store.artifacts().get(&sha256_hex("ticks of a dose, µ".as_bytes())).await.is_ok());
         store.close().await;
     }
 }
