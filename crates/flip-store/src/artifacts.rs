@@ -18,7 +18,7 @@ use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fmt;
 use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// Minimum age for removing a file that no row names: a restore may bring files first and the rows
@@ -87,6 +87,8 @@ enum Place {
 /// A file of ours.
 struct Found {
     name: String,
+    /// Where it is, below the folder or the prefix.
+    at: String,
     /// Time since it was written; `None` if unknown or in the future.
     age: Option<Duration>,
 }
@@ -155,10 +157,10 @@ impl Artifacts {
 
     /// Our files, complete and half-written.
     async fn files(&self) -> Result<Vec<Found>> {
-        Ok(match &self.place {
-            Place::Folder(folder) => folder.files()?.into_iter().map(|(it, _)| it).collect(),
-            Place::Bucket(bucket) => bucket.files().await?.into_iter().map(|(it, _)| it).collect(),
-        })
+        match &self.place {
+            Place::Folder(folder) => folder.files(),
+            Place::Bucket(bucket) => bucket.files().await,
+        }
     }
 
     /// Remove our files that are older than the grace period and not named. Only for the one process
@@ -167,43 +169,25 @@ impl Artifacts {
     /// If there are more than crashes could leave, none is removed: then the rows are more likely
     /// missing.
     async fn sweep(&self, named: &HashSet<String>, grace: Duration) -> Result<()> {
-        let goes = |it: &Found| !named.contains(&it.name) && it.age.is_some_and(|age| age > grace);
-        let too_many = |count: usize| {
-            if count > SWEPT_MAX {
-                tracing::warn!(
-                    count,
-                    "files that no row names were left where they are: is this the right database?"
-                );
-            }
-            count > SWEPT_MAX
-        };
-        match &self.place {
-            Place::Folder(folder) => {
-                let mut unnamed = folder.files()?;
-                unnamed.retain(|(it, _)| goes(it));
-                if too_many(unnamed.len()) {
-                    return Ok(());
-                }
-                unnamed.iter().try_for_each(|(_, path)| folder::remove(path))
-            }
-            Place::Bucket(bucket) => {
-                let mut unnamed = bucket.files().await?;
-                unnamed.retain(|(it, _)| goes(it));
-                if too_many(unnamed.len()) {
-                    return Ok(());
-                }
-                for (_, key) in unnamed {
-                    bucket.remove(&key).await?;
-                }
-                Ok(())
-            }
+        let mut unnamed = self.files().await?;
+        unnamed.retain(|it| !named.contains(&it.name) && it.age.is_some_and(|age| age > grace));
+        if unnamed.len() > SWEPT_MAX {
+            tracing::warn!(
+                count = unnamed.len(),
+                "files that no row names were left where they are: is this the right database?"
+            );
+            return Ok(());
         }
+        for found in unnamed {
+            self.remove(&found.at).await?;
+        }
+        Ok(())
     }
 
-    async fn remove(&self, sha256: &str) -> Result<()> {
+    async fn remove(&self, at: &str) -> Result<()> {
         match &self.place {
-            Place::Folder(folder) => folder::remove(&folder.file(sha256)),
-            Place::Bucket(bucket) => bucket.remove(&key(sha256)).await,
+            Place::Folder(folder) => folder.remove(at),
+            Place::Bucket(bucket) => bucket.remove(at).await,
         }
     }
 
@@ -240,7 +224,7 @@ impl Artifacts {
     pub(super) async fn discard(&self) {
         let discarded = async {
             for found in self.files().await? {
-                self.remove(&found.name).await?;
+                self.remove(&found.at).await?;
             }
             Ok::<_, Error>(())
         };
@@ -353,7 +337,7 @@ impl Store {
              UNION SELECT 1 FROM weighing WHERE trace = $1 \
              UNION SELECT 1 FROM pile, json_tree(pile.body, '$.frames') WHERE json_tree.atom = $1)";
         let Flag(named) = sqlx::query_scalar(sql).bind(sha256).fetch_one(&self.reader).await?;
-        if named { Ok(()) } else { self.artifacts.remove(sha256).await }
+        if named { Ok(()) } else { self.artifacts.remove(key(sha256).as_ref()).await }
     }
 
     /// Compare the files with the rows that name them; `thorough`: read each file and compare it
@@ -413,10 +397,6 @@ impl Store {
 /// SHA-256 in hexadecimal.
 pub fn sha256_hex(bytes: &[u8]) -> String {
     hex::encode(Sha256::digest(bytes))
-}
-
-fn file_name(path: &Path) -> Option<&str> {
-    path.file_name()?.to_str()
 }
 
 /// A first question, which is not waited for as long as others.

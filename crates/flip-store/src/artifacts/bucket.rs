@@ -90,7 +90,7 @@ impl Bucket {
     }
 
     /// Our objects, recognised by their names.
-    pub async fn files(&self) -> Result<Vec<(Found, Key)>> {
+    pub async fn files(&self) -> Result<Vec<Found>> {
         let listed: Vec<_> =
             self.objects.list(None).try_collect().await.map_err(|error| self.failed("", &error))?;
         let found = listed.into_iter().filter_map(|it| {
@@ -99,16 +99,20 @@ impl Bucket {
                 return None;
             }
             let written = SystemTime::from(it.last_modified);
-            Some((Found { name: name.to_owned(), age: written.elapsed().ok() }, it.location))
+            Some(Found {
+                name: name.to_owned(),
+                at: it.location.to_string(),
+                age: written.elapsed().ok(),
+            })
         });
         Ok(found.collect())
     }
 
     /// Remove one; it may be gone already.
-    pub async fn remove(&self, key: &Key) -> Result<()> {
-        match self.objects.delete(key).await {
+    pub async fn remove(&self, at: &str) -> Result<()> {
+        match self.objects.delete(&Key::from(at)).await {
             Ok(()) | Err(ObjectError::NotFound { .. }) => Ok(()),
-            Err(error) => Err(self.failed(key.as_ref(), &error)),
+            Err(error) => Err(self.failed(at, &error)),
         }
     }
 

@@ -3,7 +3,7 @@
 //! `object_store` writes and reads them. It lists neither its half-written files nor a folder with a
 //! name that is no UTF-8 in it, so this looks for itself what is there.
 
-use super::{Found, file_name, is_hex, is_sha256};
+use super::{Found, is_hex, is_sha256};
 use crate::{Error, Result};
 use object_store::local::LocalFileSystem;
 use std::error::Error as _;
@@ -76,7 +76,7 @@ impl Folder {
 
     /// Our files, complete and half-written, recognised by their names; anything else here belongs
     /// to someone else.
-    pub fn files(&self) -> Result<Vec<(Found, PathBuf)>> {
+    pub fn files(&self) -> Result<Vec<Found>> {
         let mut found = Vec::new();
         for folder in entries(&self.path)? {
             let Some(prefix) = file_name(&folder).filter(|name| is_hex(name, 2) && folder.is_dir())
@@ -88,11 +88,23 @@ impl Folder {
                     continue;
                 };
                 if path.is_file() {
-                    found.push((Found { name: name.to_owned(), age: age(&path) }, path));
+                    let at = format!("{prefix}/{name}");
+                    found.push(Found { name: name.to_owned(), at, age: age(&path) });
                 }
             }
         }
         Ok(found)
+    }
+
+    /// Remove one; it may be gone already.
+    pub fn remove(&self, at: &str) -> Result<()> {
+        let path = self.path.join(at);
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                Err(Error::File { path, source: error })
+            }
+            _ => Ok(()),
+        }
     }
 }
 
@@ -107,6 +119,10 @@ fn is_ours(name: &str, prefix: &str) -> bool {
     (is_sha256(whole) && whole.starts_with(prefix)) || name.ends_with(".part")
 }
 
+fn file_name(path: &Path) -> Option<&str> {
+    path.file_name()?.to_str()
+}
+
 /// Time since the file was written; `None` if unknown or in the future.
 fn age(path: &Path) -> Option<Duration> {
     fs::metadata(path).ok()?.modified().ok()?.elapsed().ok()
@@ -118,14 +134,5 @@ fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
         Ok(found) => found.map(|entry| entry.map(|e| e.path()).map_err(failed)).collect(),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
         Err(error) => Err(failed(error)),
-    }
-}
-
-pub(super) fn remove(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => {
-            Err(Error::File { path: path.to_owned(), source: error })
-        }
-        _ => Ok(()),
     }
 }

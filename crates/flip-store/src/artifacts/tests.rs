@@ -5,6 +5,7 @@ use crate::{Storage, testing};
 use flip_testing::s3::{self, S3};
 use std::fs;
 use std::net::TcpListener;
+use std::path::Path;
 use std::time::Instant;
 use tempfile::TempDir;
 
