@@ -9,6 +9,7 @@
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
+# make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal: a few minutes for each repeat (ARGS="3 100": repeats, size in %; FLIP_POSTGRES_BIN=folder of initdb)
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone (ARGS='--episodes 40': a few minutes)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped: hours (ARGS='10 1': a tenth of the faults, seed)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes
@@ -24,7 +25,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop cluster faults slim page-report pictures proto dist lint check
+.PHONY: run test laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers cluster faults slim page-report pictures proto dist lint check
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -85,6 +86,7 @@ web/docs/node_modules/.package-lock.json: web/docs/package.json web/docs/package
 
 # For tests only, which start clusters of their own: the package's own cluster is not made.
 postgres:
+	[ -x "$${FLIP_POSTGRES_BIN:-}/initdb" ] && exit 0
 	ls /usr/lib/postgresql/*/bin/initdb > /dev/null 2>&1 && exit 0
 	command -v initdb > /dev/null && exit 0
 	as_root=; [ "$$(id -u)" = 0 ] || as_root=sudo
@@ -160,6 +162,9 @@ pictures: setup web chromium
 
 bench-stop: setup
 	cargo bench --locked --bench stop_latency $(ARGS)
+
+bench-workers: setup postgres
+	cargo bench --quiet --locked --bench workers -- $(ARGS)
 
 FLIP_BUILT = FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
 

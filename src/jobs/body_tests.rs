@@ -3,16 +3,19 @@
 mod memory;
 
 use super::host::{JobError, JobHost, Result};
-use super::runner::{Cores, heaps_on_cores, observables_on_cores};
+use super::runner::{DoseExperiment, doses_on_cores, heaps_on_cores, observables_on_cores};
 use super::{CalibrationSpec, Functions, SIMULATOR, TrainingSpec, calibrate, evaluate, train};
+use flip_bench::rig::{Simulation, Task};
+use flip_bench::weigh::{Accuracy, Order as WeighingOrder};
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Flowability;
 use flip_learn::calibrate::{Design, Method, Settings};
 use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, Weighing};
 use flip_learn::train::{EpisodeRecord, Event, Order, Preset, Start, TrainError};
-use flip_policy::{Controller, Episode, ScheduledStep};
+use flip_policy::{Controller, Episode, Rules, ScheduledStep};
 use flip_sim::repose::{Refusal, Repose, Settings as HeapSettings};
+use flip_sim::{balance, dispense};
 use memory::{Kept, MemoryHost};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -164,14 +167,35 @@ fn plan() -> Plan {
 
 /// An evaluation by a formula, and how many doses it weighed.
 fn evaluated(host: &dyn JobHost, plan: &Plan) -> (Result<Evaluation>, usize) {
-    let weighed = AtomicUsize::new(0);
-    let weigh = Cores(|of: &Weighing<'_>| {
-        weighed.fetch_add(1, Ordering::SeqCst);
-        let dispensed_mg = of.target_mg + noise(of.seed);
+    let weighed = Arc::<AtomicUsize>::default();
+    let counted = weighed.clone();
+    let weigh = doses_on_cores(move |task, simulation| {
+        counted.fetch_add(1, Ordering::SeqCst);
+        let dispensed_mg = task.order.target_mg + noise(simulation.seed);
         Ok(Dose { dispensed_mg, reading_mg: dispensed_mg.round(), shakes: 5, seconds: 9.0 })
     });
-    let doses = |weighings: &[Weighing<'_>]| evaluate::doses(host, weighings, &weigh);
-    (flip_learn::train::evaluate::evaluate(plan, doses), weighed.into_inner())
+    let experiment = |of: &Weighing<'_>| {
+        let order = WeighingOrder {
+            target_mg: of.target_mg,
+            tolerance_lower_mg: 0.0,
+            tolerance_upper_mg: 0.0,
+            readability_mg: 1.0,
+        };
+        let controller = of.contender.controller.clone();
+        let (accuracy, rules) = (Accuracy::default(), Rules::default());
+        Ok(DoseExperiment {
+            task: Arc::new(Task { order, accuracy, controller, rules }),
+            simulation: Simulation {
+                set: *of.set,
+                spoon: dispense::Settings::default(),
+                balance: balance::Settings::default(),
+                seed: of.seed,
+            },
+        })
+    };
+    let doses = |weighings: &[Weighing<'_>]| evaluate::doses(host, weighings, experiment, &weigh);
+    let found = flip_learn::train::evaluate::evaluate(plan, doses);
+    (found, weighed.load(Ordering::SeqCst))
 }
 
 #[test]

@@ -5,17 +5,16 @@
 use super::Functions;
 use super::host::{Finished, JobError, JobHost, Piece, Result, go_on};
 use super::observe::{self, Observed};
-use super::runner::{HeapExperiment, HeapRunner, Run};
+use super::runner::{HeapExperiment, HeapRunner, Run, in_order};
 use super::spec::CalibrationSpec;
 use flip_core::domain::parameters::ParameterSet;
 use flip_learn::calibrate::{
-    self, CalibratedSet, Calibration, Channel, Emulator, Heap, Knowledge, Pour,
+    self, CalibratedSet, Calibration, Channel, Emulator, Heap, Heard, Knowledge, Pour, Simulate,
 };
 use flip_sim as sim;
 use flip_sim::repose::{Refusal, Repose, Settings as HeapSettings};
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
-use std::collections::VecDeque;
+use std::cell::Cell;
 
 pub use flip_learn::calibrate::posterior::{Marginal, Pair, Posterior};
 pub use flip_learn::calibrate::{Design, Method, Settings, Shortfall};
@@ -104,7 +103,7 @@ pub(super) fn perform(
     functions: &Functions,
     spec: &CalibrationSpec,
 ) -> Result<()> {
-    let simulator = Simulator { heaps: &functions.simulate, seconds: RefCell::default() };
+    let simulator = Simulator { heaps: &functions.simulate, seconds: Cell::default() };
     let history = host.trials()?;
     let shared = spec.design.as_ref();
     let shared =
@@ -126,9 +125,9 @@ pub(super) fn perform(
         &spec.settings,
         knowledge,
         &history,
-        |pours| simulator.pour(pours),
+        &simulator,
         |trial, progress| {
-            let saved = host.save(Piece::Trial { trial, seconds: simulator.took_s() });
+            let saved = host.save(Piece::Trial { trial, seconds: simulator.seconds.get() });
             go_on(host, saved.and_then(|()| host.report(progress)), &mut unsaved)
         },
     );
@@ -145,12 +144,12 @@ pub(super) fn perform(
 /// The simulator of heaps.
 struct Simulator<'a> {
     heaps: &'a HeapRunner,
-    /// Duration of each heap that is not saved yet, in their order, s.
-    seconds: RefCell<VecDeque<f64>>,
+    /// Duration of the heap that was handed over last, s.
+    seconds: Cell<Option<f64>>,
 }
 
-impl Simulator<'_> {
-    fn pour(&self, pours: &[Pour]) -> Vec<std::result::Result<Heap, String>> {
+impl Simulate<Pour, Heap> for &Simulator<'_> {
+    fn simulate(&self, pours: &[Pour], heard: &mut Heard<'_, Heap>) {
         let experiment = |pour: &Pour| HeapExperiment {
             set: pour.parameters,
             settings: HeapSettings {
@@ -159,19 +158,16 @@ impl Simulator<'_> {
             },
             seed: pour.seed,
         };
-        let runs = self.heaps.run_all(&pours.iter().map(experiment).collect::<Vec<_>>());
-        self.seconds.borrow_mut().extend(runs.iter().map(|run| run.seconds));
-        let heap = |run: Run<std::result::Result<Repose, Refusal>>| {
-            let repose = run.outcome.map_err(|refusal| refusal.to_string())?;
+        let heap = |outcome: std::result::Result<Repose, Refusal>| {
+            let repose = outcome.map_err(|refusal| refusal.to_string())?;
             let Repose { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s, .. } = repose;
             Ok(Heap { tip_deg, tip_sd_deg, cone_deg, creep_deg_per_s })
         };
-        runs.into_iter().map(heap).collect()
-    }
-
-    /// How long the next heap to be saved took, s.
-    fn took_s(&self) -> Option<f64> {
-        self.seconds.borrow_mut().pop_front()
+        let experiments: Vec<HeapExperiment> = pours.iter().map(experiment).collect();
+        in_order(&**self.heaps, &experiments, |Run { outcome, seconds }| {
+            self.seconds.set(Some(seconds));
+            heard(heap(outcome))
+        });
     }
 }
 
@@ -185,9 +181,8 @@ fn emulator(
     let id = design.id(version);
     let stored = host.emulator_heaps(&id)?;
     let mut unsaved = None;
-    let pour = |pours: &[Pour]| simulator.pour(pours);
-    let built = calibrate::build(design, sim::directions, &stored, pour, |heap, progress| {
-        let piece = Piece::EmulatorHeap { emulator: &id, heap, seconds: simulator.took_s() };
+    let built = calibrate::build(design, sim::directions, &stored, simulator, |heap, progress| {
+        let piece = Piece::EmulatorHeap { emulator: &id, heap, seconds: simulator.seconds.get() };
         let saved = host.save(piece).and_then(|()| host.report(progress));
         go_on(host, saved, &mut unsaved)
     });

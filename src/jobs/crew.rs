@@ -8,6 +8,7 @@ use flip_store::workers::{Worker, machine_name};
 use flip_store::{self as store, Store, new_id, now};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -23,6 +24,9 @@ pub struct Crew {
     pub threads: u32,
     /// Whether it answers requests, too.
     pub serves: bool,
+    /// For how long one thread computes a portion of a job that others help with, roughly. The longer,
+    /// the less of it is spent on rows, and the later the last one ends.
+    pub portion: Duration,
 }
 
 impl Default for Crew {
@@ -34,6 +38,7 @@ impl Default for Crew {
             kinds: KINDS.into_iter().filter(|kind| can_compute(*kind)).collect(),
             threads: cores as u32,
             serves: false,
+            portion: Duration::from_secs(60),
         }
     }
 }
@@ -95,6 +100,7 @@ impl JobWorker {
             wake: Notify::new(),
             closing: CancellationToken::new(),
             gives_way,
+            portion: crew.portion,
         };
         Self { shared: Arc::new(shared), task: Mutex::default() }
     }

@@ -3,7 +3,7 @@
 
 use super::Functions;
 use super::host::{Finished, JobError, JobHost, Piece, Result, go_on};
-use super::runner::{Cores, Run, Runner};
+use super::runner::{DoseExperiment, DoseRunner, Run};
 use super::spec::EvaluationSpec;
 use flip_bench::rig::{Simulation, Task, simulate};
 use flip_bench::weigh::{Accuracy, Event, Order};
@@ -19,6 +19,7 @@ use flip_policy::{
 use flip_sim::{balance, dispense};
 use flip_store::evaluations::{EvaluationRow, EvaluationSummary};
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -28,10 +29,6 @@ pub const CONTROLLERS: [&str; 8] =
     [POLICY, "untrained", "fixed", "schedule", "dispenser", "pid", "fuzzy", "paced"];
 /// The controller being evaluated.
 pub const POLICY: &str = "policy";
-
-/// One dose on the simulator: [`simulated`] in the product, a formula in tests. The error is why it
-/// has no result.
-pub type Weigh = Arc<dyn Fn(&Task, &Simulation) -> std::result::Result<Dose, String> + Send + Sync>;
 
 /// One dose on the simulator, to its end.
 ///
@@ -65,13 +62,16 @@ pub(super) fn perform(
     let policy = load_policy(host, &spec.policy)?;
     let plan = plan(host, spec, &policy)?;
     let rules = Rules { steps_max: spec.max_shakes, ..policy.manifest.rules };
-    let weigh = Cores(|of: &Weighing<'_>| {
-        let (task, simulation) = (task(spec, rules, of), simulation(spec, of)?);
-        (functions.weigh)(&task, &simulation).map_err(|cause| {
-            JobError::Fail(format!("a weighing of {} mg was aborted: {cause}", of.target_mg))
-        })
-    });
-    let found = evaluate(&plan, |weighings| doses(host, weighings, &weigh))?;
+    // Doses of one controller and target share what is weighed: a network has many numbers.
+    let mut tasks = HashMap::<(String, u64), Arc<Task>>::new();
+    let found = evaluate(&plan, |weighings| {
+        let experiment = |of: &Weighing<'_>| {
+            let key = (of.contender.name.clone(), of.target_mg.to_bits());
+            let task = tasks.entry(key).or_insert_with(|| Arc::new(task(spec, rules, of)));
+            Ok(DoseExperiment { task: task.clone(), simulation: simulation(spec, of)? })
+        };
+        doses(host, weighings, experiment, &functions.weigh)
+    })?;
     let result = EvaluationResult {
         rows: found.rows.iter().map(row).collect(),
         summary: found.summary.iter().map(summary).collect(),
@@ -120,7 +120,8 @@ fn simulation(spec: &EvaluationSpec, of: &Weighing<'_>) -> Result<Simulation> {
 pub(super) fn doses<'a>(
     host: &dyn JobHost,
     weighings: &[Weighing<'a>],
-    weigh: &impl Runner<Weighing<'a>, Result<Dose>>,
+    experiment: impl FnMut(&Weighing<'a>) -> Result<DoseExperiment>,
+    weigh: &DoseRunner,
 ) -> Result<Vec<Dose>> {
     let known = host.doses()?;
     let mut doses: Vec<Option<Dose>> =
@@ -130,9 +131,14 @@ pub(super) fn doses<'a>(
     if !missing.is_empty() && host.flow().is_break() {
         return Err(JobError::Stopped);
     }
+    let experiments: Vec<DoseExperiment> = missing.iter().map(experiment).collect::<Result<_>>()?;
     let (mut done, mut unsaved) = (known.len(), None);
-    weigh.run(&missing, &mut |k, Run { outcome, .. }| {
-        let saved = outcome.and_then(|dose| {
+    weigh.run(&experiments, &mut |k, Run { outcome, .. }| {
+        let dose = outcome.map_err(|cause| {
+            let target_mg = missing[k].target_mg;
+            JobError::Fail(format!("a weighing of {target_mg} mg was aborted: {cause}"))
+        });
+        let saved = dose.and_then(|dose| {
             host.save(Piece::Dose { key: &key(&missing[k]), dose: &dose })?;
             doses[places[k]] = Some(dose);
             done += 1;

@@ -19,6 +19,10 @@ pub const KINDS: [JobKind; 6] = [
     JobKind::Film,
 ];
 
+/// The kinds of jobs that fill a machine, one at a time, and with which others may help.
+pub(super) const TURNS: [JobKind; 3] =
+    [JobKind::Calibration, JobKind::Evaluation, JobKind::Investigation];
+
 /// Which slots a job takes. Jobs of one lane start in the order in which they were requested.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lane {
@@ -79,6 +83,11 @@ impl Lanes {
             return None;
         }
         self.of(kind).clone().try_acquire_owned().ok()
+    }
+
+    /// Those of these kinds that are taken.
+    pub fn kinds_among(&self, kinds: &[JobKind]) -> Vec<JobKind> {
+        kinds.iter().copied().filter(|kind| self.kinds.contains(kind)).collect()
     }
 
     fn of(&self, kind: JobKind) -> &Arc<Semaphore> {

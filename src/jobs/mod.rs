@@ -13,6 +13,7 @@
 //!              load inputs, call the pure function, save what it finds
 //!              host.rs: what such a body may ask for; leased.rs answers over the store, every write carries the fence
 //!              runner.rs: who carries out the experiments that it hands over
+//!              spread.rs: other workers, too, where there are some; help.rs: their side
 //! ```
 //!
 //! Weighings are not jobs: see `bench/`.
@@ -25,12 +26,14 @@ pub mod episode_film;
 pub mod evaluate;
 pub mod film;
 mod heaps;
+mod help;
 mod host;
 mod investigate;
 mod lanes;
 mod lease;
 mod leased;
 pub mod observe;
+mod portion;
 mod priority;
 pub mod replays;
 pub mod repose;
@@ -38,6 +41,7 @@ mod rows;
 mod runner;
 mod spec;
 pub mod spoon;
+mod spread;
 mod stop;
 pub mod train;
 mod worker;
@@ -47,8 +51,9 @@ pub use crew::{Crew, JobWorker};
 pub use lanes::{KINDS, lane_of};
 pub use priority::{compute_on, give_way_to_the_bench};
 pub use runner::{
-    Cores, HeapExperiment, HeapRunner, ObservableExperiment, ObservableRunner, Run, Runner,
-    SpoonRunner, heaps_on_cores, observables_on_cores, spoons_on_cores,
+    Cores, DoseExperiment, DoseRunner, HeapExperiment, HeapRunner, ObservableExperiment,
+    ObservableRunner, Run, Runner, SpoonRunner, doses_on_cores, heaps_on_cores,
+    observables_on_cores, spoons_on_cores,
 };
 pub use spec::{
     CalibrationSpec, EpisodeFilmSpec, EvaluationPowder, EvaluationSpec, FilmSpec, HeapFilmSpec,
@@ -67,6 +72,7 @@ use lanes::Lanes;
 use std::collections::HashMap;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 use stop::{Stop, StopFlag};
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
@@ -82,8 +88,8 @@ pub struct Functions {
     pub replay: SpoonRunner,
     /// A training.
     pub train: train::Train,
-    /// One dose on the simulator, as evaluations weigh it.
-    pub weigh: evaluate::Weigh,
+    /// Doses on the simulator, as evaluations weigh them.
+    pub weigh: DoseRunner,
     /// What the bench's lane moves.
     pub rig: Arc<dyn Rig>,
 }
@@ -95,7 +101,7 @@ impl Default for Functions {
             observe: observables_on_cores(flip_sim::observe::observe_under),
             replay: spoons_on_cores(flip_sim::replay::replay),
             train: train::simulated(),
-            weigh: Arc::new(evaluate::simulated),
+            weigh: doses_on_cores(evaluate::simulated),
             rig: Arc::new(Simulated),
         }
     }
@@ -143,6 +149,8 @@ struct Shared {
     closing: CancellationToken,
     /// Computing runs at a lower priority than answering.
     gives_way: bool,
+    /// How long one thread computes a portion of a job.
+    portion: Duration,
 }
 
 impl Jobs {

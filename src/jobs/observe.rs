@@ -3,14 +3,14 @@
 
 use super::calibrate::settled;
 use super::host::{JobError, JobHost, Piece, Result, go_on};
-use super::runner::{ObservableExperiment, ObservableRunner};
+use super::runner::{ObservableExperiment, ObservableRunner, Run, in_order};
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_core::stats::summary;
 use flip_learn::calibrate::channel::{self, RUNS};
-use flip_learn::calibrate::{Channel, Emulator, Instrument, Probe};
+use flip_learn::calibrate::{Channel, Emulator, Heard, Instrument, Probe, Simulate};
 use flip_sim::observe;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -129,6 +129,27 @@ pub(super) fn look(
     channels.iter().zip(built).enumerate().map(look).collect()
 }
 
+/// Simulates an observable.
+struct Observing<'a> {
+    under: &'a Under<'a>,
+    observable: Observable,
+}
+
+impl Simulate<Probe, f64> for Observing<'_> {
+    fn simulate(&self, probes: &[Probe], heard: &mut Heard<'_, f64>) {
+        let experiment = |of: &Probe| ObservableExperiment {
+            observable: self.observable,
+            set: of.parameters,
+            patch: self.under.patch.clone(),
+            seed: of.seed,
+        };
+        let experiments: Vec<_> = probes.iter().map(experiment).collect();
+        in_order(&**self.under.runner, &experiments, |Run { outcome, .. }| {
+            heard(outcome.map_err(|refusal| refusal.to_string()))
+        });
+    }
+}
+
 /// Carries out a plan, reusing stored runs; returns the runs and how many of them are new.
 fn probes(
     host: &dyn JobHost,
@@ -138,18 +159,7 @@ fn probes(
     observable: Observable,
 ) -> Result<(Vec<Probe>, u32)> {
     let stored = host.probes(owner)?;
-    let simulate = |probes: &[Probe]| {
-        let patch = || simulator.patch.clone();
-        let experiment = |of: &Probe| ObservableExperiment {
-            observable,
-            set: of.parameters,
-            patch: patch(),
-            seed: of.seed,
-        };
-        let experiments: Vec<_> = probes.iter().map(experiment).collect();
-        let runs = simulator.runner.run_all(&experiments).into_iter();
-        runs.map(|run| run.outcome.map_err(|refusal| refusal.to_string())).collect()
-    };
+    let simulate = Observing { under: simulator, observable };
     let mut unsaved = None;
     let runs = channel::carry_out(plan, &stored, observable.kind(), simulate, |probe, progress| {
         let saved = host.save(Piece::Probe { owner, probe }).and_then(|()| host.report(progress));

@@ -3,7 +3,7 @@
 use super::Functions;
 use super::heaps::{read, under};
 use super::host::{JobError, JobHost, Result, go_on};
-use super::runner::{HeapExperiment, HeapRunner, SpoonRunner};
+use super::runner::{HeapExperiment, HeapRunner, Run, SpoonRunner};
 use super::spec::SpoonSpec;
 use super::spoon::simulated;
 use flip_core::domain::job::Progress;
@@ -12,9 +12,7 @@ use flip_discover::spoon::{Simulator, SpoonHeap, SpoonReplay, SpoonReport, judge
 use flip_sim::dispense::Settings;
 use flip_sim::replay::Replay;
 use std::cell::{Cell, RefCell};
-
-/// Replays between two looks at whether the job is to end.
-const BATCH: usize = 16;
+use std::ops::ControlFlow;
 
 /// Judges the spoonfuls of an investigation, in this share of its progress.
 pub(super) fn judged(
@@ -60,37 +58,44 @@ struct Watched<'a> {
 }
 
 impl Watched<'_> {
-    /// Whether to go on after so many more replays.
-    fn goes_on(&self, more: usize) -> bool {
-        self.replayed.set(self.replayed.get() + more as u32);
-        let (replayed, most) = (self.replayed.get(), self.most.max(1));
-        let done = (f64::from(replayed) / f64::from(most)).min(1.0);
-        let message = format!("spoonful {replayed} of at most {most} replayed");
-        let [from, until] = self.share;
-        let progress = Progress { fraction: from + (until - from) * done, message };
-        let unsaved = &mut *self.unsaved.borrow_mut();
-        unsaved.is_none() && go_on(self.host, self.host.report(&progress), unsaved).is_continue()
+    /// Whether to go on.
+    fn goes_on(&self) -> bool {
+        self.unsaved.borrow().is_none() && self.host.flow().is_continue()
     }
 }
 
 impl Simulator for Watched<'_> {
     fn pour(&self, replays: &[SpoonReplay]) -> Vec<Option<Vec<f64>>> {
-        let mut all = Vec::with_capacity(replays.len());
-        for batch in replays.chunks(BATCH) {
-            match self.goes_on(batch.len()) {
-                true => all.extend(self.spoons.pour(batch)),
-                false => all.extend(batch.iter().map(|_| None)),
-            }
+        if !self.goes_on() {
+            return vec![None; replays.len()];
         }
-        all
+        let (mut replayed, mut unsaved) = (self.replayed.get(), None);
+        // What the runner's threads need of it.
+        let (host, most, share) = (self.host, self.most, self.share);
+        let fell = self.spoons.replayed(replays, &mut || {
+            replayed += 1;
+            go_on(host, host.report(&progress(replayed, most, share)), &mut unsaved)
+        });
+        self.replayed.set(self.replayed.get() + replays.len() as u32);
+        *self.unsaved.borrow_mut() = unsaved;
+        fell
     }
 
     fn heaps(&self, heaps: &[SpoonHeap]) -> Vec<Option<f64>> {
-        match self.goes_on(0) {
-            true => self.spoons.heaps(heaps),
-            false => vec![None; heaps.len()],
+        if !self.goes_on() {
+            return vec![None; heaps.len()];
         }
+        let host = self.host;
+        self.spoons.poured(heaps, &mut || host.flow())
     }
+}
+
+/// After so many replays of at most so many, in this share of the job.
+fn progress(replayed: u32, most: u32, [from, until]: [f64; 2]) -> Progress {
+    let most = most.max(1);
+    let done = (f64::from(replayed) / f64::from(most)).min(1.0);
+    let message = format!("spoonful {replayed} of at most {most} replayed");
+    Progress { fraction: from + (until - from) * done, message }
 }
 
 /// The simulator as the spoon channel asks it.
@@ -123,33 +128,50 @@ impl Spoons<'_> {
     }
 }
 
-impl Simulator for Spoons<'_> {
-    fn pour(&self, replays: &[SpoonReplay]) -> Vec<Option<Vec<f64>>> {
-        let jobs: Vec<Option<Replay>> = replays.iter().map(|of| self.replay(of)).collect();
-        let known: Vec<Replay> = jobs.iter().flatten().cloned().collect();
-        let mut runs = self.replays.run_all(&known).into_iter();
-        jobs.iter()
-            .map(|job| runs_of(job.is_some(), &mut runs)?.outcome.ok().map(|it| it.fell_mg))
-            .collect()
+/// Says after each run whether to go on.
+type GoesOn<'a> = dyn FnMut() -> ControlFlow<()> + Send + 'a;
+
+impl Spoons<'_> {
+    /// What fell in each replay, mg for each step.
+    fn replayed(&self, replays: &[SpoonReplay], goes_on: &mut GoesOn<'_>) -> Vec<Option<Vec<f64>>> {
+        let (places, known) = known(replays.iter().map(|of| self.replay(of)));
+        let mut fell = vec![None; replays.len()];
+        self.replays.run(&known, &mut |k, Run { outcome, .. }| {
+            fell[places[k]] = outcome.ok().map(|it| it.fell_mg);
+            goes_on()
+        });
+        fell
     }
 
-    fn heaps(&self, heaps: &[SpoonHeap]) -> Vec<Option<f64>> {
+    /// The angle of each heap, degrees.
+    fn poured(&self, heaps: &[SpoonHeap], goes_on: &mut GoesOn<'_>) -> Vec<Option<f64>> {
         let heap = |of: &SpoonHeap| {
             let (set, settings) = under(&of.set, &of.patch)?;
             Some(read(HeapExperiment { set, settings, seed: of.seed }))
         };
-        let jobs: Vec<Option<HeapExperiment>> = heaps.iter().map(heap).collect();
-        let known: Vec<HeapExperiment> = jobs.iter().flatten().copied().collect();
-        let mut runs = self.heaps.run_all(&known).into_iter();
-        jobs.iter()
-            .map(|job| runs_of(job.is_some(), &mut runs)?.outcome.ok().map(|it| it.tip_deg))
-            .collect()
+        let (places, known) = known(heaps.iter().map(heap));
+        let mut angles = vec![None; heaps.len()];
+        self.heaps.run(&known, &mut |k, Run { outcome, .. }| {
+            angles[places[k]] = outcome.ok().map(|it| it.tip_deg);
+            goes_on()
+        });
+        angles
     }
 }
 
-/// The next run, for a job that there was.
-fn runs_of<T>(is_known: bool, runs: &mut impl Iterator<Item = T>) -> Option<T> {
-    if is_known { runs.next() } else { None }
+impl Simulator for Spoons<'_> {
+    fn pour(&self, replays: &[SpoonReplay]) -> Vec<Option<Vec<f64>>> {
+        self.replayed(replays, &mut || ControlFlow::Continue(()))
+    }
+
+    fn heaps(&self, heaps: &[SpoonHeap]) -> Vec<Option<f64>> {
+        self.poured(heaps, &mut || ControlFlow::Continue(()))
+    }
+}
+
+/// The experiments that there are, and the place of each.
+fn known<E>(all: impl Iterator<Item = Option<E>>) -> (Vec<usize>, Vec<E>) {
+    all.enumerate().filter_map(|(place, of)| Some((place, of?))).unzip()
 }
 
 #[cfg(test)]

@@ -7,8 +7,8 @@ use super::leased::LeasedJob;
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
 use super::{
-    Functions, Running, Shared, calibrate, episode_film, evaluate, film, investigate, priority,
-    repose, train,
+    Functions, Running, Shared, calibrate, episode_film, evaluate, film, help, investigate,
+    priority, repose, spread, train,
 };
 use flip_core::domain::job::JobState;
 use flip_store::ledger::{Claim, Claimed, Lease};
@@ -43,10 +43,15 @@ const SETTLE_PAUSE: Duration = Duration::from_secs(1);
 /// Starts waiting jobs until the machinery closes, then waits for those that run.
 pub(super) async fn work(shared: Arc<Shared>) {
     let mut events = shared.store.watch_events();
+    let mut portions = shared.store.watch_portions();
     let mut heard = Instant::now();
     while !shared.closing.is_cancelled() {
         // Before looking: what comes while it looks is a reason to look again.
         events.borrow_and_update();
+        portions.borrow_and_update();
+        if let Err(error) = help::help(&shared).await {
+            tracing::warn!(%error, "portions were not looked for; the next try may");
+        }
         if let Err(error) = start_waiting(&shared).await {
             tracing::warn!(%error, "waiting jobs were not started; the next try may");
         }
@@ -60,6 +65,7 @@ pub(super) async fn work(shared: Arc<Shared>) {
             () = shared.wake.notified() => {}
             () = tokio::time::sleep(POLL) => {}
             () = told(&shared, &mut events) => {}
+            () = told(&shared, &mut portions) => {}
         }
     }
     // A running computation holds a slot until the row is settled.
@@ -68,8 +74,8 @@ pub(super) async fn work(shared: Arc<Shared>) {
     }
 }
 
-/// Waits until another process has written an event, and then a moment for more.
-async fn told(shared: &Shared, events: &mut watch::Receiver<i64>) {
+/// Waits until another process has written an event or changed a portion, and then a moment for more.
+async fn told<T>(shared: &Shared, events: &mut watch::Receiver<T>) {
     // Of its own events a process that is alone is woken.
     if !shared.store.is_shared() || events.changed().await.is_err() {
         std::future::pending::<()>().await;
@@ -98,6 +104,9 @@ async fn hear_others(shared: &Shared, heard: &mut Instant) -> store::Result<()> 
 /// Abandons computations that do not notice the shutdown in time: what they saved counts, they
 /// write nothing more, and their jobs wait for the next start.
 async fn leave_behind(shared: &Shared) {
+    if let Err(error) = give_portions_back(shared).await {
+        tracing::warn!(%error, "portions were not given back; others take them when their leases end");
+    }
     let late: Vec<Running> = shared.running().drain().map(|(_, running)| running).collect();
     for Running { lease, stop } in late {
         stop.set(Stop::Fenced);
@@ -117,6 +126,12 @@ async fn leave_behind(shared: &Shared) {
             }
         }
     }
+}
+
+async fn give_portions_back(shared: &Shared) -> store::Result<()> {
+    let mut tx = shared.store.write().await?;
+    tx.release_portions(&shared.worker.id).await?;
+    tx.commit().await
 }
 
 /// Starts jobs, each time the one that has waited longest for a slot that is free, until there is
@@ -181,6 +196,7 @@ fn on_compute_thread(
     if shared.gives_way {
         priority::give_way();
     }
+    let functions = spread::functions(shared, &claimed, stop, &runtime);
     let host = LeasedJob::new(
         shared.store.clone(),
         &claimed,
@@ -188,7 +204,7 @@ fn on_compute_thread(
         stop.clone(),
         runtime.clone(),
     );
-    let ended = catch_unwind(AssertUnwindSafe(|| perform(&host, &shared.functions, &claimed)))
+    let ended = catch_unwind(AssertUnwindSafe(|| perform(&host, &functions, &claimed)))
         .unwrap_or_else(|panic| {
             Err(JobError::Retry(format!("it panicked: {}", panic_message(&*panic))))
         });

@@ -5,7 +5,7 @@ use flip::app::{
     Tolerance, Topic, TrainingRequest, WeighingRequest,
 };
 use flip::jobs::train::Train;
-use flip::jobs::{heaps_on_cores, observables_on_cores, spoons_on_cores};
+use flip::jobs::{doses_on_cores, heaps_on_cores, observables_on_cores, spoons_on_cores};
 use flip_bench::hardware::DeviceError;
 use flip_bench::rig::{OnEvent, Poured, Pouring, Rig, Simulation, Task};
 use flip_bench::weigh::{Event, Phase};
@@ -159,7 +159,7 @@ pub fn functions() -> Functions {
         observe: observables_on_cores(observe),
         replay: spoons_on_cores(|_| panic!("this test replays no spoonful")),
         train: train(),
-        weigh: Arc::new(weigh),
+        weigh: doses_on_cores(weigh),
         rig: ToyRig::of(BenchKind::Simulated, pour),
     }
 }

@@ -9,6 +9,7 @@ mod harness;
 mod investigation;
 mod ledger;
 mod limits;
+mod portions;
 mod queue;
 mod registry;
 mod simulator;

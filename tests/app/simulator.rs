@@ -8,7 +8,7 @@ use flip::app::{
     App, CalibrationRequest, Error, EvaluationRequest, Functions, InvestigationRequest, Job,
     JobState, Report, TrainingRequest, WeighingRequest,
 };
-use flip::jobs::heaps_on_cores;
+use flip::jobs::{doses_on_cores, heaps_on_cores};
 use flip_bench::rig::{OnEvent, Pouring, Simulation, Task};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::conditions::{Condition, Conditions};
@@ -48,7 +48,12 @@ fn wet(seen: &Arc<Seen>) -> Functions {
         weigh(task, simulation)
     };
     let rig = ToyRig::of(BenchKind::Simulated, pour);
-    Functions { simulate: heaps_on_cores(simulate), weigh: Arc::new(weigh), rig, ..functions() }
+    Functions {
+        simulate: heaps_on_cores(simulate),
+        weigh: doses_on_cores(weigh),
+        rig,
+        ..functions()
+    }
 }
 
 fn campaign(budget_runs: u32) -> InvestigationRequest {

@@ -12,7 +12,7 @@ use std::fmt::Write;
 
 /// A spoon by formula: a powder starts to flow at a pitch that adhesion raises, and gives more above
 /// it, unless its grains attract each other.
-fn replay(of: &Replay) -> Replayed {
+pub fn replay(of: &Replay) -> Replayed {
     let onset_deg = 20.0 + 6.0 * of.settings.extensions.spoon_adhesion;
     let slope_mg = 0.25 / (1.0 + of.settings.extensions.consolidation);
     let noise = |k: usize| {
@@ -36,7 +36,7 @@ fn replaying() -> Functions {
 
 /// Spoonfuls of sand on six days, of a spoon with so much adhesion, as the 0.1 mg display of a
 /// balance shows them.
-fn shakes(adhesion: f64) -> String {
+pub fn shakes(adhesion: f64) -> String {
     let mut csv = String::from(
         "weighing,spoonful,powder,session,readability_mg,pitch_deg,shake_mm,fell_mg\n",
     );
@@ -67,7 +67,7 @@ fn shakes(adhesion: f64) -> String {
     csv
 }
 
-fn request(csv: String) -> InvestigationRequest {
+pub fn request(csv: String) -> InvestigationRequest {
     InvestigationRequest { shakes_csv: Some(csv), seed: Some(3), ..Default::default() }
 }
 

@@ -7,6 +7,7 @@ use flip::app::{
     App, Episode, Error, EvaluationRequest, Functions, JobState, PageQuery, SERIES_LIMIT_MAX,
 };
 use flip::app::{Preset, Topic, TrainingRequest};
+use flip::jobs::doses_on_cores;
 use flip_bench::rig::{Simulation, Task};
 use flip_core::domain::bench_check::{ExecutedShake, ShakeCalibration};
 use flip_core::domain::motion::{MotionLimits, Move};
@@ -146,7 +147,7 @@ fn walk(folder: std::path::PathBuf) -> Vec<std::path::PathBuf> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
-    let worse = Arc::new(|task: &Task, simulation: &Simulation| {
+    let worse = doses_on_cores(|task: &Task, simulation: &Simulation| {
         let dose = weigh(task, simulation)?;
         let more_mg = if matches!(task.controller, Controller::Paced(_)) { 0.25 } else { 0.0 };
         Ok(Dose { dispensed_mg: dose.dispensed_mg + more_mg, ..dose })
@@ -214,7 +215,7 @@ async fn an_evaluation_fills_the_table_and_decides_which_policy_weighs() {
 async fn a_dose_is_simulated_at_the_substep_asked_for_and_is_then_no_evidence() {
     let seen = Arc::new(Mutex::new(Vec::new()));
     let kept = seen.clone();
-    let watched = Arc::new(move |task: &Task, simulation: &Simulation| {
+    let watched = doses_on_cores(move |task: &Task, simulation: &Simulation| {
         kept.lock().unwrap().push(simulation.spoon.substep_s);
         weigh(task, simulation)
     });

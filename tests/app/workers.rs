@@ -4,23 +4,26 @@
 use crate::harness::{calibration_of, ended, functions, heap, open, until};
 use flip::app::{App, Crew, Functions, Hired, JobKind, JobState, Options, PageQuery, Storage};
 use flip::jobs::heaps_on_cores;
+use sqlx::AnyPool;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tempfile::TempDir;
 
 /// A database on a server, whatever the other tests run on, with an app that computes nothing
-/// itself; `None`, and why, where there is no server.
-async fn served() -> Option<(TempDir, Storage, App)> {
+/// itself, and a connection past it; `None`, and why, where there is no server.
+pub async fn served() -> Option<(TempDir, Storage, App, AnyPool)> {
     let cluster = flip_testing::cluster().inspect_err(|why| println!("left out: {why}")).ok()?;
     let folder = tempfile::tempdir().unwrap();
     let url = cluster.database_of(folder.path()).await;
     let storage = Storage::on_server(&url, folder.path()).unwrap();
     let app = App::open(&storage, Options::without_workers()).await.unwrap();
-    Some((folder, storage, app))
+    sqlx::any::install_default_drivers();
+    let pool = AnyPool::connect(&url).await.unwrap();
+    Some((folder, storage, app, pool))
 }
 
-fn crew(name: &str) -> Crew {
+pub fn crew(name: &str) -> Crew {
     Crew { name: name.to_owned(), ..Crew::default() }
 }
 
@@ -38,7 +41,7 @@ fn gated(gate: &Arc<AtomicBool>) -> Functions {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn workers_compute_what_the_server_would_to_the_same_result_and_are_listed() {
-    let Some((_folder, storage, app)) = served().await else { return };
+    let Some((_folder, storage, app, _)) = served().await else { return };
     let (_alone, one_process) = open(functions()).await;
     let hired = [
         Hired::start(&storage, crew("one"), functions()).await.unwrap(),
@@ -69,7 +72,7 @@ async fn workers_compute_what_the_server_would_to_the_same_result_and_are_listed
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_that_is_cancelled_at_the_server_ends_at_its_worker() {
-    let Some((_folder, storage, app)) = served().await else { return };
+    let Some((_folder, storage, app, _)) = served().await else { return };
     let slow = Functions {
         simulate: heaps_on_cores(|set, settings, seed| {
             std::thread::sleep(Duration::from_millis(100));
@@ -89,7 +92,7 @@ async fn a_job_that_is_cancelled_at_the_server_ends_at_its_worker() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_goes_on_at_another_worker_when_its_own_is_stopped() {
-    let Some((_folder, storage, app)) = served().await else { return };
+    let Some((_folder, storage, app, _)) = served().await else { return };
     let gate = Arc::<AtomicBool>::default();
     let first = Hired::start(&storage, crew("first"), gated(&gate)).await.unwrap();
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
@@ -107,7 +110,7 @@ async fn a_job_goes_on_at_another_worker_when_its_own_is_stopped() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_takes_the_kinds_that_it_was_given_and_needs_a_database_that_is_served() {
-    let Some((folder, storage, app)) = served().await else { return };
+    let Some((folder, storage, app, _)) = served().await else { return };
     let films = Crew { kinds: vec![JobKind::Film], ..crew("films") };
     let hired = Hired::start(&storage, films, functions()).await.unwrap();
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();

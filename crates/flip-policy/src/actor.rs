@@ -5,6 +5,7 @@ use super::observation::{Encoding, Known, Observation};
 use super::recurrent::Recurrent;
 use flip_core::domain::bench::Action;
 use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
 
 /// Outputs of a policy: incline change and shake amplitude, each in -1..=1.
 pub const OUTPUTS: usize = 2;
@@ -23,13 +24,13 @@ pub const LOG_STD_MAX: f32 = 2.0;
 /// The network is a multilayer perceptron with ReLU between its layers, which ignores earlier
 /// steps, or the recurrent one of [`Recurrent`]. Numerics: f32 weights, f64 sums, so that the
 /// result agrees with libtorch's to about 1e-6.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Actor {
     encoding: Encoding,
     network: Network,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 enum Network {
     FeedForward(Vec<Layer>),
     Recurrent(Box<Recurrent>),
@@ -56,7 +57,7 @@ impl Carried {
 }
 
 /// One affine layer: `y[k] = bias[k] + sum_j weight[j * outputs + k] x[j]`.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Layer {
     pub inputs: usize,
     pub outputs: usize,

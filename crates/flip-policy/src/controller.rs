@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 /// A controller proposes an action for each step. A closed set: the controller proposes, the guard
 /// decides.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Controller {
     /// A trained network, at the centre of its distribution.
     Learned(Actor),

@@ -32,6 +32,7 @@ use super::observation::Observation;
 use super::response::{Response, Spoonful, radical_inverse};
 use flip_core::domain::bench::{Action, INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use flip_core::stats::normal::quantile;
+use serde::{Deserialize, Serialize};
 
 /// Number of guesses of the current spoonful.
 const GUESSES: usize = 384;
@@ -45,12 +46,25 @@ const SHAKES_MM: [f64; 7] = [0.0, 1.0, 2.0, 4.0, 7.0, 11.0, SHAKE_MM_MAX];
 /// largest or the smallest.
 const USUAL_MM: f64 = 4.0;
 
-/// The dispenser: [`Response`] and the tables made from it.
-#[derive(Debug, Clone)]
+/// The dispenser: [`Response`] and the tables made from it. Written down, it is the former alone.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(from = "Response", into = "Response")]
 pub struct Dispenser {
     response: Response,
     guesses: Vec<Spoonful>,
     aims: Aims,
+}
+
+impl From<Response> for Dispenser {
+    fn from(response: Response) -> Self {
+        Self::new(response)
+    }
+}
+
+impl From<Dispenser> for Response {
+    fn from(dispenser: Dispenser) -> Self {
+        dispenser.response
+    }
 }
 
 impl PartialEq for Dispenser {

@@ -1,6 +1,7 @@
 //! Inference of the prior work's recurrent network in plain Rust.
 
 use super::actor::{Carried, Layer, OUTPUTS, flatten, perceptron, taker};
+use serde::{Deserialize, Serialize};
 
 /// Two branches that merge: one sees only the observation, the other has memory.
 ///
@@ -19,7 +20,7 @@ use super::actor::{Carried, Layer, OUTPUTS, flatten, perceptron, taker};
 /// Source: the public code of Kadokawa et al., IROS 2023
 /// (github.com/omron-sinicx/robotic-powder-weighing). There a' is random before the first step;
 /// zeros are its mean, and keep a weighing deterministic.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Recurrent {
     seen: Layer,
     recalled: Layer,

@@ -40,7 +40,7 @@ pub struct Replay {
 }
 
 /// What a replayed spoonful let fall.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Replayed {
     /// Powder in the spoon before the first step, mg.
     pub filled_mg: f64,

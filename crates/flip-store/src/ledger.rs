@@ -91,7 +91,8 @@ impl Store {
                    (SELECT id FROM worker WHERE ended_at IS NULL AND NOT serves)) RETURNING *";
         let rows = sqlx::query(sql).bind(self.is_postgres()).fetch_all(&mut *tx.inner).await?;
         for row in &rows {
-            tx.announce_job(row).await?;
+            let job = tx.announce_job(row).await?;
+            tx.end_portions(&job.id).await?;
         }
         tx.commit().await
     }
@@ -153,6 +154,8 @@ impl Tx {
             .bind(i64::from(deaths))
             .fetch_one(&mut *self.inner)
             .await?;
+        // An attempt that was lost may have left some.
+        self.end_portions(id).await?;
         let job = self.announce_job(&row).await?;
         Ok(Claim::Granted(Claimed {
             lease: Lease { job: job.id, fence: row.plain("fence")? },
@@ -180,6 +183,7 @@ impl Tx {
         now: Timestamp,
     ) -> Result<()> {
         self.unname_checkpoint(id).await?;
+        self.end_portions(id).await?;
         let sql = "UPDATE job SET state = $2, error = coalesce($3, error), owner = NULL, lease_until = NULL, \
                    checkpoint = NULL, finished_at = $4 WHERE id = $1 RETURNING *";
         let row = sqlx::query(sql)
@@ -253,6 +257,7 @@ impl Tx {
         let row =
             sqlx::query(sql).bind(&lease.job).bind(lease.fence).bind(result).bind(now.unix_ms());
         let row = held(row.fetch_optional(&mut *self.inner).await?)?;
+        self.end_portions(&lease.job).await?;
         self.announce_job(&row).await.map(drop)
     }
 
@@ -285,6 +290,7 @@ impl Tx {
             .bind(error)
             .fetch_one(&mut *self.inner)
             .await?;
+        self.end_portions(&lease.job).await?;
         self.announce_job(&row).await.map(drop)
     }
 
@@ -294,6 +300,7 @@ impl Tx {
                    owner = NULL, lease_until = NULL WHERE id = $1 AND fence = $2 AND state = 'running' RETURNING *";
         let row = sqlx::query(sql).bind(&lease.job).bind(lease.fence);
         let row = held(row.fetch_optional(&mut *self.inner).await?)?;
+        self.end_portions(&lease.job).await?;
         self.announce_job(&row).await.map(drop)
     }
 }

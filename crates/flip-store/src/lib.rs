@@ -38,6 +38,7 @@ pub mod parameter_sets;
 pub mod piles;
 mod place;
 pub mod policies;
+pub mod portions;
 mod postgres;
 pub mod powders;
 mod row;

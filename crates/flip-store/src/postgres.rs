@@ -15,6 +15,8 @@ use tokio::task::AbortHandle;
 const VERSION_MIN: i64 = 15;
 /// Events are told on this channel (`migrations/postgres`).
 const CHANNEL: &str = "flip_event";
+/// And portions on this one.
+const PORTIONS: &str = "flip_portion";
 /// How often events are looked for all the same: a lost connection tells nothing.
 const POLL: Duration = Duration::from_secs(1);
 
@@ -38,6 +40,8 @@ pub(super) const PATIENT: &str =
 pub(super) struct Server {
     options: AnyConnectOptions,
     following: AbortHandle,
+    /// Counts up with each change of portions.
+    portions: watch::Sender<u64>,
     /// Holds the lock of the process that serves the database, until it is closed.
     alone: Mutex<Option<PgConnection>>,
 }
@@ -77,16 +81,23 @@ impl Server {
         reader: AnyPool,
     ) -> Self {
         let url = options.database_url.to_string();
+        let portions = watch::Sender::new(0);
+        let changed = portions.clone();
         let following = tokio::spawn(async move {
             while !reader.is_closed() {
-                if let Err(error) = follow(&url, &newest, &reader).await {
+                if let Err(error) = follow(&url, &newest, &changed, &reader).await {
                     tracing::warn!(%error, "events of other processes are not heard; trying again");
                 }
                 tokio::time::sleep(POLL).await;
             }
         });
         let alone = Mutex::new(alone);
-        Self { options, following: following.abort_handle(), alone }
+        Self { options, following: following.abort_handle(), portions, alone }
+    }
+
+    /// Counts up with each change of portions.
+    pub fn watch_portions(&self) -> watch::Receiver<u64> {
+        self.portions.subscribe()
     }
 
     /// End following events, and let another process serve the database.
@@ -130,9 +141,14 @@ impl Server {
     }
 }
 
-async fn follow(url: &str, newest: &watch::Sender<i64>, reader: &AnyPool) -> sqlx::Result<()> {
+async fn follow(
+    url: &str,
+    newest: &watch::Sender<i64>,
+    portions: &watch::Sender<u64>,
+    reader: &AnyPool,
+) -> sqlx::Result<()> {
     let mut listener = PgListener::connect(url).await?;
-    listener.listen(CHANNEL).await?;
+    listener.listen_all([CHANNEL, PORTIONS]).await?;
     let mut compared = Instant::now();
     loop {
         if compared.elapsed() > COMPARE {
@@ -144,6 +160,10 @@ async fn follow(url: &str, newest: &watch::Sender<i64>, reader: &AnyPool) -> sql
         super::events::tell(newest, seq);
         while let Ok(told) = tokio::time::timeout(POLL, listener.try_recv()).await {
             let Some(told) = told? else { break };
+            if told.channel() == PORTIONS {
+                portions.send_modify(|changes| *changes += 1);
+                continue;
+            }
             super::events::tell(newest, told.payload().parse().unwrap_or_default());
         }
     }

@@ -10,7 +10,7 @@ use flip_core::domain::job::JobKind;
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::any::AnyRow;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 /// How long one that has ended, or was lost, is remembered, ms: a week.
 const REMEMBERED_MS: i64 = 7 * 86_400_000;
@@ -37,7 +37,7 @@ pub struct Worker {
     /// When it ended in order; absent while it works, and if it was lost.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ended_at: Option<Timestamp>,
-    /// The jobs that it computes.
+    /// The jobs that it computes or helps with.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub jobs: Vec<String>,
 }
@@ -52,8 +52,9 @@ pub fn machine_name() -> String {
 impl Store {
     /// The processes of the last week that compute jobs, the one that started last first.
     pub async fn workers(&self) -> Result<Vec<Worker>> {
-        let sql =
-            "SELECT id, owner FROM job WHERE state = 'running' AND owner IS NOT NULL ORDER BY seq";
+        let sql = "SELECT id, seq, owner FROM job WHERE state = 'running' AND owner IS NOT NULL \
+                   UNION SELECT j.id, j.seq, p.owner FROM portion p JOIN job j ON j.id = p.job \
+                   WHERE j.state = 'running' AND p.owner IS NOT NULL AND p.done_at IS NULL ORDER BY seq";
         let mut computing = HashMap::<String, Vec<String>>::new();
         for row in sqlx::query(sql).fetch_all(&self.reader).await? {
             computing.entry(row.plain("owner")?).or_default().push(row.plain("id")?);
@@ -69,6 +70,31 @@ impl Store {
             worker.jobs = computing.remove(&worker.id).unwrap_or_default();
         }
         Ok(workers)
+    }
+
+    /// The other workers that may help with a job of this kind: they were heard of since `heard_after`,
+    /// have this version, and compute no job of their own of these kinds, which fill a machine.
+    pub async fn helpers(
+        &self,
+        ours: &Worker,
+        kind: JobKind,
+        filling: &[JobKind],
+        heard_after: Timestamp,
+    ) -> Result<Vec<Worker>> {
+        let sql = "SELECT owner, kind FROM job WHERE state = 'running' AND owner IS NOT NULL";
+        let mut busy = HashSet::<String>::new();
+        for row in sqlx::query(sql).fetch_all(&self.reader).await? {
+            // A kind that is not known here fills no machine that could help.
+            if row.word("job", "kind").is_ok_and(|kind: JobKind| filling.contains(&kind)) {
+                busy.insert(row.plain("owner")?);
+            }
+        }
+        let sql = "SELECT * FROM worker WHERE ended_at IS NULL AND heard_at > $1 AND version = $2 AND id <> $3";
+        let rows = sqlx::query(sql).bind(heard_after.unix_ms()).bind(&ours.version).bind(&ours.id);
+        let workers: Vec<Worker> =
+            rows.fetch_all(&self.reader).await?.iter().map(worker).collect::<Result<_>>()?;
+        let may = |it: &Worker| it.kinds.contains(&kind) && !busy.contains(&it.id);
+        Ok(workers.into_iter().filter(may).collect())
     }
 
     /// The running jobs of a worker that somebody wants cancelled.

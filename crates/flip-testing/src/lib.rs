@@ -141,7 +141,7 @@ impl Cluster {
 
     fn start_with(durable: bool, tls: Option<(u16, &str, &str)>) -> Result<Self, String> {
         let programs = programs().ok_or(
-            "PostgreSQL is not installed: initdb is neither in PATH nor in /usr/lib/postgresql/*/bin",
+            "PostgreSQL is not installed: initdb is neither in FLIP_POSTGRES_BIN nor in PATH nor in /usr/lib/postgresql/*/bin",
         )?;
         let made = run(as_other("mktemp").args(["-d", "/tmp/flip-postgres-XXXXXX"]))?;
         let folder = PathBuf::from(made.trim());
@@ -238,13 +238,16 @@ impl Cluster {
     }
 }
 
-/// The folder of PostgreSQL's programs.
+/// The folder of PostgreSQL's programs: `FLIP_POSTGRES_BIN`, if set, before all others.
 fn programs() -> Option<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
+    let named = std::env::var_os("FLIP_POSTGRES_BIN").map(PathBuf::from);
     let installed = std::fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
     let mut folders: Vec<_> = installed.map(|version| version.path().join("bin")).collect();
     folders.sort();
-    std::env::split_paths(&path)
+    named
+        .into_iter()
+        .chain(std::env::split_paths(&path))
         .chain(folders.into_iter().rev())
         .find(|folder| folder.join("initdb").exists() && folder.join("pg_ctl").exists())
 }

@@ -104,7 +104,7 @@ pub struct Worker {
     /// When it ended in order; absent while it works, and if it was lost.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ended_at: Option<Timestamp>,
-    /// Ids of the jobs that it computes.
+    /// Ids of the jobs that it computes or helps with.
     pub jobs: Vec<String>,
 }
 

@@ -8,9 +8,10 @@ use flip_core::domain::vial::PanCheck;
 use flip_core::domain::weighing::Probe;
 use flip_policy::{Controller, Rules};
 use flip_sim::{balance, dispense};
+use serde::{Deserialize, Serialize};
 
 /// What to weigh, and what decides each step.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Task {
     /// The ordered dose.
     pub order: Order,
@@ -32,7 +33,7 @@ impl Task {
 
 /// The simulated powder, spoon and balance. A dose on them follows from these, its [`Task`] and
 /// nothing else.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Simulation {
     /// The powder.
     pub set: ParameterSet,

@@ -43,13 +43,14 @@ use flip_core::domain::bench::{Reach, Reading, Standing, Tare, Tick};
 use flip_core::domain::weighing::Outcome;
 use flip_policy::{Controller, Episode, Observation, Rules};
 use guard::Halt;
+use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use uncertainty::Watched;
 
 /// A weighing order.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Order {
     /// Target, mg.
     pub target_mg: f64,

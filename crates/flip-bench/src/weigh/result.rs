@@ -7,6 +7,7 @@ pub use flip_core::domain::bench_check::minimum_weight_mg;
 use flip_core::domain::bench::{Standing, Tick};
 use flip_core::domain::bench_check;
 use flip_core::domain::weighing::Outcome;
+use serde::{Deserialize, Serialize};
 
 /// USP <41>: maximum ratio of twice the repeatability to the smallest net weight.
 const USP_SHARE: f64 = 0.001;
@@ -14,7 +15,7 @@ const USP_SHARE: f64 = 0.001;
 const NOTHING: f64 = 0.5;
 
 /// Known accuracy of the balance, in addition to its readings.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Accuracy {
     /// Standard deviation of ten weighings of one weight, from the bench's last check, mg; `None`:
     /// never checked.

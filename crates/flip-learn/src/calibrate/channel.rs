@@ -8,7 +8,7 @@
 use super::emulator::{ASKED, Emulator};
 use super::space;
 use super::trial::micro;
-use super::{CHUNK, Error, in_full};
+use super::{Error, Simulate, in_order};
 use flip_core::domain::job::Progress;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
@@ -135,19 +135,18 @@ pub fn planned(sets: &[ParameterSet], repeats: u32, seed: u64) -> Vec<Probe> {
 
 /// Carries out the planned runs not yet in `history`, which holds the first of them.
 ///
-/// `simulate` returns the reduced numbers of a batch, in order, or why one has none, and must be
-/// pure; `on_run` is called with every new run in order, and `Break` stops.
+/// `simulate` gives the reduced numbers; `on_run` is called with every new run in order, and `Break` stops.
 ///
 /// # Errors
 /// [`Error::Stopped`]; [`Error::History`] if the history does not match the plan.
 ///
 /// # Panics
-/// `simulate` returns more or fewer outcomes than there are runs.
+/// `simulate` returns more outcomes than there are runs.
 pub fn carry_out(
     plan: Vec<Probe>,
     history: &[Probe],
     what: &str,
-    simulate: impl Fn(&[Probe]) -> Vec<Result<f64, String>>,
+    simulate: impl Simulate<Probe, f64>,
     mut on_run: impl FnMut(&Probe, &Progress) -> ControlFlow<()>,
 ) -> Result<Vec<Probe>, Error> {
     for (planned, known) in plan.iter().zip(history) {
@@ -159,18 +158,15 @@ pub fn carry_out(
     }
     let all = plan.len();
     let mut runs = history[..history.len().min(all)].to_vec();
-    for batch in plan[runs.len()..].chunks(CHUNK) {
-        for (probe, reduced) in batch.iter().zip(in_full(batch, simulate(batch))) {
-            runs.push(probe.clone().concluded(reduced));
-            let progress = Progress {
-                fraction: runs.len() as f64 / all as f64,
-                message: format!("{what}, simulation {} of {all}", runs.len()),
-            };
-            if on_run(&runs[runs.len() - 1], &progress).is_break() {
-                return Err(Error::Stopped);
-            }
-        }
-    }
+    let new = &plan[runs.len()..];
+    in_order(&simulate, new, |k, reduced| {
+        runs.push(new[k].clone().concluded(reduced));
+        let progress = Progress {
+            fraction: runs.len() as f64 / all as f64,
+            message: format!("{what}, simulation {} of {all}", runs.len()),
+        };
+        on_run(&runs[runs.len() - 1], &progress)
+    })?;
     Ok(runs)
 }
 

@@ -20,7 +20,7 @@
 
 use super::space::{self, Point};
 use super::trial::{Heap, Outcome, Planned, Pour, Trial};
-use super::{CHUNK, Error, in_full};
+use super::{Error, Simulate, in_order};
 use flip_core::domain::job::Progress;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
@@ -92,7 +92,7 @@ const COMMON: f64 = 0.09;
 /// | argument | meaning |
 /// |----------|---------|
 /// | `history` | heaps of an interrupted build of the same design, in order; replayed, never simulated again |
-/// | `simulate` | a batch of heaps, in order, or the reason why one has none; must be pure |
+/// | `simulate` | pours heaps |
 /// | `on_run` | called with every new heap (not the replayed ones) in order of its index; `Break` stops |
 ///
 /// # Errors
@@ -104,25 +104,22 @@ pub fn build(
     design: &Design,
     directions: Directions,
     history: &[Trial],
-    simulate: impl Fn(&[Pour]) -> Vec<Result<Heap, String>>,
+    simulate: impl Simulate<Pour, Heap>,
     mut on_run: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
 ) -> Result<Emulator, Error> {
     let mut runs: Vec<Trial> = Vec::new();
     while runs.len() < design.runs as usize {
         let round = plan(design, directions, &runs);
         let known = super::replay(&round, &mut runs, history, None)?;
-        for batch in round[known..].chunks(CHUNK) {
-            let pours: Vec<Pour> = batch.iter().map(|p| p.pour(design.particles)).collect();
-            for (planned, heap) in batch.iter().zip(in_full(&pours, simulate(&pours))) {
-                let run = planned.clone().concluded(runs.len() as u32, Outcome::of(heap), None);
-                runs.push(run.clone());
-                let fraction = runs.len() as f64 / f64::from(design.runs);
-                let message = format!("emulator, heap {} of {}", runs.len(), design.runs);
-                if on_run(&run, &Progress { fraction, message }).is_break() {
-                    return Err(Error::Stopped);
-                }
-            }
-        }
+        let new = &round[known..];
+        let pours: Vec<Pour> = new.iter().map(|p| p.pour(design.particles)).collect();
+        in_order(&simulate, &pours, |k, heap| {
+            let run = new[k].clone().concluded(runs.len() as u32, Outcome::of(heap), None);
+            runs.push(run.clone());
+            let fraction = runs.len() as f64 / f64::from(design.runs);
+            let message = format!("emulator, heap {} of {}", runs.len(), design.runs);
+            on_run(&run, &Progress { fraction, message })
+        })?;
     }
     Emulator::of(&runs, directions).ok_or(Error::NoHeap)
 }

@@ -64,8 +64,34 @@ use trial::Planned;
 
 /// First index of the seeds of proposals; no trial uses it.
 const PROPOSALS: u64 = u64::MAX;
-/// Number of simulations in a batch: the first is reported, and can be stored, when the last is done.
+/// Number of experiments for which a plain function is called: the first is reported, and can be stored,
+/// when the last is done.
 const CHUNK: usize = 8;
+
+/// Carries out batches of experiments. An outcome must follow from its experiment alone.
+///
+/// A function that returns the outcomes of a batch is one, too.
+pub trait Simulate<E, O> {
+    /// Hands over the outcome of each experiment, or the reason why it has none: in the order of the
+    /// experiments, each as soon as it is known. After `Break` no more is wanted; if fewer are handed
+    /// over, the calibration stops.
+    fn simulate(&self, experiments: &[E], heard: &mut Heard<'_, O>);
+}
+
+/// Receives an outcome.
+pub type Heard<'a, O> = dyn FnMut(Result<O, String>) -> ControlFlow<()> + 'a;
+
+impl<E, O, F: Fn(&[E]) -> Vec<Result<O, String>>> Simulate<E, O> for F {
+    fn simulate(&self, experiments: &[E], heard: &mut Heard<'_, O>) {
+        for batch in experiments.chunks(CHUNK) {
+            let outcomes = self(batch);
+            assert_eq!(outcomes.len(), batch.len(), "every experiment has one outcome");
+            if outcomes.into_iter().try_for_each(&mut *heard).is_break() {
+                return;
+            }
+        }
+    }
+}
 
 /// Why a calibration has no result.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -133,7 +159,7 @@ fn nearest_text(tip_deg: Option<f64>) -> String {
 /// | `settings` | method, tolerance, budget, seed |
 /// | `knowledge` | the emulator, for the method of that name, and other measurements; its heaps count once, not in every calibration |
 /// | `history` | trials of an interrupted run with the same target and settings, in order; replayed, never simulated again |
-/// | `simulate` | a batch of heaps, in order, or the reason why one has none; must be pure |
+/// | `simulate` | pours heaps |
 /// | `on_trial` | called with every new trial (not the replayed ones) in order of its index; `Break` stops |
 ///
 /// The same target, settings and `simulate` give the same bytes at any number of threads,
@@ -143,13 +169,13 @@ fn nearest_text(tip_deg: Option<f64>) -> String {
 /// [`Error`]
 ///
 /// # Panics
-/// `simulate` returns more or fewer outcomes than there are heaps.
+/// `simulate` returns more outcomes than there are heaps.
 pub fn calibrate(
     target: &Flowability,
     settings: &Settings,
     knowledge: Option<Knowledge<'_>>,
     history: &[Trial],
-    simulate: impl Fn(&[Pour]) -> Vec<Result<Heap, String>>,
+    simulate: impl Simulate<Pour, Heap>,
     mut on_trial: impl FnMut(&Trial, &Progress) -> ControlFlow<()>,
 ) -> Result<Calibration, Error> {
     let settings = settings.clone().checked()?;
@@ -173,26 +199,35 @@ pub fn calibrate(
                 }
             };
         }
-        for batch in round.chunks(CHUNK.max(settings.batch as usize)) {
-            let new = &batch[replay(batch, &mut trials, history, Some(&target))?..];
-            let pours: Vec<Pour> =
-                new.iter().map(|p| p.pour(settings.particles_of(p.phase))).collect();
-            for (planned, heap) in new.iter().zip(in_full(&pours, simulate(&pours))) {
-                let index = trials.len() as u32;
-                let trial = planned.clone().concluded(index, Outcome::of(heap), Some(&target));
-                trials.push(trial.clone());
-                if on_trial(&trial, &progress(&trials, &target, &settings)).is_break() {
-                    return Err(Error::Stopped);
-                }
-            }
-        }
+        let new = &round[replay(&round, &mut trials, history, Some(&target))?..];
+        let pours: Vec<Pour> = new.iter().map(|p| p.pour(settings.particles_of(p.phase))).collect();
+        in_order(&simulate, &pours, |k, heap| {
+            let index = trials.len() as u32;
+            let trial = new[k].clone().concluded(index, Outcome::of(heap), Some(&target));
+            trials.push(trial.clone());
+            on_trial(&trial, &progress(&trials, &target, &settings))
+        })?;
     }
 }
 
-/// The outcomes of a batch, one for each experiment.
-fn in_full<E, O>(experiments: &[E], outcomes: Vec<O>) -> Vec<O> {
-    assert_eq!(outcomes.len(), experiments.len(), "every experiment has one outcome");
-    outcomes
+/// Hands `each` every outcome with the place of its experiment.
+///
+/// # Errors
+/// [`Error::Stopped`]: `each` said `Break`, or not all outcomes came.
+fn in_order<E, O>(
+    simulate: &impl Simulate<E, O>,
+    experiments: &[E],
+    mut each: impl FnMut(usize, Result<O, String>) -> ControlFlow<()>,
+) -> Result<(), Error> {
+    let (mut heard, mut flow) = (0, ControlFlow::Continue(()));
+    if !experiments.is_empty() {
+        simulate.simulate(experiments, &mut |outcome| {
+            flow = each(heard, outcome);
+            heard += 1;
+            flow
+        });
+    }
+    if flow.is_continue() && heard == experiments.len() { Ok(()) } else { Err(Error::Stopped) }
 }
 
 /// Appends to `trials` the part of `batch` found in the history, after checking that they match;

@@ -340,6 +340,9 @@ fn special(table: &str, column: &str, k: u64, dice: &mut Dice) -> Option<String>
         ("bench_hold", "resumed_by") | ("latch", "cleared_by") => {
             Some(if first { "NULL".into() } else { literal(&dice.text()) })
         }
+        ("portion", "outcomes" | "done_at") if first => Some("NULL".to_owned()),
+        ("portion", "outcomes") => Some("x'a0f97e00'".to_owned()),
+        ("portion", "done_at") => Some(dice.count().to_string()),
         ("node_action", "refused") => Some("NULL".to_owned()),
         ("node_action", "id") => Some(literal(&format!("{k:026}"))),
         ("kept_policy", "id") => Some(literal(&format!("p-{k}"))),
