@@ -27,7 +27,11 @@ pub async fn keep(app: App, closing: CancellationToken) {
     let mut told: HashMap<String, JoinHandle<()>> = HashMap::new();
     while !closing.is_cancelled() {
         match app.webhook_rows().await {
-            Ok(rows) => {
+            Ok(mut rows) => {
+                // Of several processes that serve a database, one tells.
+                if !app.tells_webhooks().await {
+                    rows.clear();
+                }
                 told.retain(|id, task| {
                     let stays = rows.iter().any(|row| row.webhook.id == *id) && !task.is_finished();
                     if !stays {

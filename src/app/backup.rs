@@ -84,7 +84,8 @@ impl BackupError {
             | StoreError::Unfit { .. }
             | StoreError::Worked(_)
             | StoreError::ArtifactsTaken(_)
-            | StoreError::Held(_) => Self::Refused(message),
+            | StoreError::Held(_)
+            | StoreError::Served { .. } => Self::Refused(message),
             _ => Self::Failed(message),
         }
     }

@@ -1,6 +1,7 @@
 //! The bench: its state, whether it may be used, who cleared it, and the record of everything that
 //! happened on it.
 
+use super::benches::stored_status;
 use super::check::Check;
 use super::weighings::latched;
 use super::{App, Error, Result};
@@ -102,22 +103,8 @@ impl App {
         if let Some(jobs) = &self.inner.jobs {
             return Ok(status(jobs.bench()));
         }
-        let store = self.store();
-        let ended = |it: &Reservation| it.until <= now();
-        Ok(BenchStatus {
-            kind: None,
-            devices: BTreeMap::new(),
-            exchanges_vials: None,
-            latch: store.latch().await?,
-            held: store.held().await?,
-            moving: None,
-            piling: None,
-            waiting: store.waiting_weighings().await?,
-            vial: store.pan().await?.vial,
-            reservation: store.reservation().await?.filter(|it| !ended(it)),
-            unwritten: None,
-            repeatability: store.newest_check(CheckKind::Repeatability).await?.map(|it| it.1),
-        })
+        let stored = stored_status(self.store()).await?;
+        Ok(BenchStatus { kind: None, moving: None, ..stored })
     }
 
     /// Stops anything that moves on the bench, and lets nothing start until a person resumes. Not

@@ -93,6 +93,7 @@ impl CharacterisationRequest {
             vial_check: self.vial_check,
             labels: self.labels,
             reservation: self.reservation,
+            bench_name: None,
         })
     }
 }

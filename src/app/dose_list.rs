@@ -438,6 +438,7 @@ fn dose(
         asked,
         vial_check: request.vial_check,
         reservation: request.reservation.clone(),
+        bench_name: None,
         labels: Labels::default(),
     };
     Ok((dose, repeats))

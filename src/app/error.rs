@@ -111,6 +111,7 @@ impl From<store::Error> for Error {
             | store::Error::Unreachable(_)
             | store::Error::ArtifactsAway { .. }
             | store::Error::Gone(_) => Self::Unavailable(error.to_string()),
+            store::Error::Disowned(_) => Self::conflict("bench_lost", error.to_string()),
             error if error.is_closed() => {
                 Self::Unavailable("FLIP is shutting down: try again after the restart".into())
             }

@@ -9,6 +9,8 @@ mod audit_search;
 mod backup;
 mod balance;
 mod bench;
+mod bench_requests;
+mod benches;
 mod calibrations;
 mod caller_labels;
 mod campaign_csv;
@@ -82,6 +84,7 @@ pub use audit_search::{AUDIT_CSV_HEADER, AuditAsked, audit_csv};
 pub use backup::{BackupError, back_up, move_store, restore};
 pub use balance::{BalanceReading, BalanceRequest};
 pub use bench::{BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest};
+pub use benches::{ANY_BENCH, LoadRequest, check_bench_name};
 pub use calibrations::{Calibration, CalibrationRequest};
 pub use characterisations::CharacterisationRequest;
 pub use checklist::{Checklist, NewChecklist};
@@ -121,6 +124,7 @@ pub use flip_store::audit::{AuditRecord, AuditVerification};
 pub use flip_store::audit_search::{AuditFound, AuditWanted};
 pub use flip_store::backup::Copied;
 pub use flip_store::bench::{BENCH_TOPIC, Latch};
+pub use flip_store::benches::{BenchRow, DEFAULT_BENCH, Loaded};
 pub use flip_store::counts::Counts;
 pub use flip_store::evaluations::{EvaluationRow, EvaluationSummary};
 pub use flip_store::events::Event;
@@ -332,7 +336,9 @@ impl App {
         let installation = store.installation().await?;
         let readiness = LastLook::default();
         let inner = Inner { store, jobs, keyring, oidc, readiness, laboratory, installation };
-        Ok(Self { inner: Arc::new(inner) })
+        let app = Self { inner: Arc::new(inner) };
+        app.keep_answering();
+        Ok(app)
     }
 
     /// Stops the bench and levels the spoon, lets running jobs save a checkpoint and return to the
@@ -391,7 +397,7 @@ impl OpenError {
     fn of(storage: &Storage, error: store::Error) -> Self {
         let kind = if storage.is_on_server() { "database" } else { "data folder" };
         match error {
-            store::Error::Held(_) => Self::Held(error.to_string()),
+            store::Error::Held(_) | store::Error::Served { .. } => Self::Held(error.to_string()),
             other => {
                 Self::Failed { what: format!("the {kind} {storage}"), cause: other.to_string() }
             }

@@ -1,6 +1,7 @@
 //! Turns on the bench: confirming that a vial is in, and reserving the bench for a while.
 
 use super::bench::stopped_meanwhile;
+use super::bench_requests::{BenchAsk, asks};
 use super::check::Check;
 use super::{App, Error, Result};
 use crate::jobs::bench::Change;
@@ -57,6 +58,10 @@ impl App {
         let row =
             self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
         let weighing = row.weighing;
+        if let Some(there) = self.elsewhere(weighing.at_bench()).await? {
+            let ask = BenchAsk::VialReady { id: id.to_owned(), request };
+            return self.ask(&there, ask).await.and_then(asks::read);
+        }
         if weighing.outcome.is_some() {
             return Err(Error::conflict(
                 "weighing_finished",

@@ -37,6 +37,17 @@ pub struct NewWebhook {
 static AGENT: LazyLock<Agent> = LazyLock::new(|| agent(ANSWER_MAX));
 
 impl App {
+    /// Whether this process tells webhooks: of those that serve a database, the one that has the
+    /// first bench by name.
+    pub(crate) async fn tells_webhooks(&self) -> bool {
+        if self.store().bench_owner().is_none() {
+            return true;
+        }
+        let benches = self.store().benches().await.unwrap_or_default();
+        let first = benches.into_iter().find(|bench| bench.served);
+        first.is_none_or(|bench| bench.name == self.store().bench_name())
+    }
+
     /// Adds a webhook; returns it, and the secret that its messages are signed with, which is shown
     /// once.
     ///

@@ -73,6 +73,10 @@ pub struct WeighingRequest {
     /// The bench reservation under which the request is made, `rs-…`, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reservation: Option<String>,
+    /// The bench, by its name, or `any`: the least busy of those that hold the powder; default the
+    /// one of this service.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bench_name: Option<String>,
 }
 
 /// A mass with its unit.
@@ -136,6 +140,10 @@ impl App {
         request: WeighingRequest,
     ) -> Result<(WeighRequest, String)> {
         no_probe(&request.asked)?;
+        if request.bench_name.is_some() {
+            let advice = "must be absent from a list, which is weighed on the bench of the service that gets it: leave it out, or ask for the weighing alone";
+            return Err(FieldError::new("bench_name", advice).into());
+        }
         self.plan(request).await
     }
 
@@ -146,10 +154,23 @@ impl App {
         idempotency_key: &str,
     ) -> Result<(Weighing, bool)> {
         check_key(idempotency_key)?;
-        let request_sha256 = request_sha256(&request)?;
+        let sha256 = request_sha256(&request)?;
         if let Some(first) = self.store().weighing_by_key(idempotency_key).await? {
-            return replay(first, &request_sha256, idempotency_key);
+            return replay(first, &sha256, idempotency_key);
         }
+        match self.send_weighing(request, idempotency_key).await? {
+            Ok(sent) => Ok(sent),
+            Err(request) => self.commit_here(request, idempotency_key).await,
+        }
+    }
+
+    /// As [`App::commit_request`], on the bench of this process, whichever the request names.
+    pub(super) async fn commit_here(
+        &self,
+        request: WeighingRequest,
+        idempotency_key: &str,
+    ) -> Result<(Weighing, bool)> {
+        let request_sha256 = request_sha256(&request)?;
         self.check_reservation(request.reservation.as_deref())?;
         let reservation = request.reservation.clone();
         let (request, parameter_set) = self.plan(request).await?;
@@ -307,33 +328,6 @@ impl App {
     pub async fn trace(&self, id: &str) -> Result<Vec<Tick>> {
         let WeighingDetail { ticks, trace_lost, .. } = self.weighing(id).await?;
         trace_lost.map_or(Ok(ticks), |why| Err(Error::Lost(why)))
-    }
-
-    /// Stops a weighing: at once if it is waiting; if it is running, the arm is notified at once,
-    /// then the spoon is levelled. `false`: it had ended before, which whoever stops twice or too
-    /// late wanted. Not an emergency stop.
-    ///
-    /// # Errors
-    /// `NotFound`
-    pub async fn stop_weighing(&self, id: &str) -> Result<(Weighing, bool)> {
-        if let Some(weighing) = self.halt_weighing(id, None)? {
-            return Ok((weighing, true));
-        }
-        // Lets the task that carries stops go on to the next one: from here on this waits for the
-        // disk and the database.
-        tokio::task::yield_now().await;
-        if let Some(weighing) = self.jobs_or_refuse()?.bench().stop_waiting(id).await? {
-            return Ok((weighing, true));
-        }
-        // It may have started meanwhile.
-        if let Some(weighing) = self.halt_weighing(id, None)? {
-            return Ok((weighing, true));
-        }
-        let row =
-            self.store().weighing(id).await?.ok_or_else(|| Error::not_found("weighing", id))?;
-        // Without an outcome it is at rest, and its end is about to be recorded.
-        let ends = row.weighing.outcome.is_none();
-        Ok((row.weighing, ends))
     }
 }
 

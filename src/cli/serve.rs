@@ -9,7 +9,7 @@ use super::session::{StopSignals, service_runtime};
 use super::token;
 use crate::api::sila::SilaConfig;
 use crate::api::{self, ServeConfig, ServeError, Server, Tls};
-use crate::app::{App, Options, Workers};
+use crate::app::{App, DEFAULT_BENCH, Options, Storage, Workers, check_bench_name};
 use crate::telemetry;
 use clap::ValueEnum;
 use flip_core::domain::FieldError;
@@ -24,6 +24,10 @@ pub(super) struct Arguments {
     address: Address,
     #[command(flatten)]
     bench: BenchArguments,
+    /// Name of this bench among those of a server's database, each of which has one process
+    /// [default: bench].
+    #[arg(long, value_name = "NAME")]
+    bench_name: Option<String>,
     /// Name of the laboratory, at the head of certificates.
     #[arg(long, value_name = "NAME")]
     laboratory: Option<String>,
@@ -94,6 +98,20 @@ struct Document {
     token: Option<String>,
 }
 
+impl Arguments {
+    /// What is stored, served with the named bench.
+    fn storage(&self, common: &Common) -> Result<Storage, Failure> {
+        let storage = common.storage()?;
+        let Some(name) = &self.bench_name else { return Ok(storage) };
+        check_bench_name(name)?;
+        if !storage.is_on_server() && name != DEFAULT_BENCH {
+            let advice = "a data folder has one bench, which needs no name: leave it out, or name a server's database with --database-url";
+            return Err(FieldError::new("bench_name", advice).into());
+        }
+        Ok(storage.with_bench(name))
+    }
+}
+
 /// Serves until asked to stop.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     telemetry::start(arguments.log_format.into(), telemetry::SERVICE);
@@ -105,7 +123,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             oidc: arguments.oidc.provider()?,
             ..arguments.bench.options()?
         };
-        let app = App::open(common.storage()?, options).await?;
+        let app = App::open(arguments.storage(common)?, options).await?;
         let sila = arguments.sila.config(&common.data_dir, &arguments.address);
         let server = match bind(&app, &arguments.address, sila) {
             Ok(server) => server,

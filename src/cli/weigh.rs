@@ -1,12 +1,13 @@
 //! `flip weigh`: one dose, through the same intent, bench and guard as a request over HTTP.
 
 use super::Common;
+use super::bench::several::NameArguments;
 use super::benches::BenchArguments;
 use super::calibrate::{Target as CalibrationTarget, calibrate};
 use super::failure::Failure;
 use super::lab::{Lab, Look};
 use super::labels::LabelArguments;
-use super::session::with_bench;
+use super::session::{beside, with_bench};
 use super::simulator::{SimulatorArguments, words};
 use super::train::require_policy;
 use super::watch::Watch;
@@ -75,6 +76,10 @@ pub(super) struct Arguments {
     pub(super) labels: LabelArguments,
     #[command(flatten)]
     extended: SimulatorArguments,
+    /// Bench to weigh on, by its name, or `any`: the least busy of those that hold the powder. With a
+    /// service or a server's database [default: its own].
+    #[arg(long, value_name = "NAME", conflicts_with = "list")]
+    bench_name: Option<String>,
     #[command(flatten)]
     pub(super) bench: BenchArguments,
 }
@@ -128,10 +133,17 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         asked,
         vial_check,
         labels: arguments.labels.all()?,
+        bench_name: arguments.bench_name.clone(),
         ..request
     };
     // A new key: running the command again means another dose.
     let key = uuid::Uuid::now_v7().to_string();
+    let named = NameArguments { bench_name: arguments.bench_name.clone() };
+    if named.named(common)?.is_some() {
+        // What its bench is like only its own process knows.
+        let weighing = beside(common, async |lab| weigh(lab, &Watch::new(), request, &key).await)?;
+        return report(common, weighing);
+    }
     let weighing = with_bench(common, &arguments.bench, async |lab| {
         look(lab, vial_check).await?;
         weigh(lab, &Watch::new(), request, &key).await
@@ -206,6 +218,7 @@ pub(super) fn report(common: &Common, weighing: Weighing) -> Result<(), Failure>
 /// A request in mg with the default policy and a seed of its own.
 pub(super) fn request(powder: &str, target_mg: f64, tolerance_mg: f64) -> WeighingRequest {
     WeighingRequest {
+        bench_name: None,
         powder: powder.to_owned(),
         target: Target { value: target_mg, unit: "mg".into() },
         tolerance: Tolerance { lower: tolerance_mg, upper: tolerance_mg, unit: "mg".into() },

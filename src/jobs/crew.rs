@@ -79,7 +79,8 @@ impl JobWorker {
     ) -> Self {
         let lanes = Lanes::new(crew.kinds.clone(), crew.threads);
         let worker = Worker {
-            id: format!("flip-{}", new_id()),
+            // In a server's database, the owner of its bench.
+            id: store.bench_owner().map_or_else(|| format!("flip-{}", new_id()), str::to_owned),
             name: crew.name,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             kinds: crew.kinds,

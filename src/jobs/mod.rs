@@ -164,6 +164,7 @@ impl Jobs {
         workers: Workers,
     ) -> store::Result<Self> {
         let held = Arc::<AtomicBool>::default();
+        store.take_bench().await?;
         let bench = Bench::open(store.clone(), functions.rig.clone(), held.clone()).await?;
         let gives_way = workers == Workers::GiveWay;
         if gives_way {
@@ -172,7 +173,7 @@ impl Jobs {
         let crew = Crew { serves: true, ..Crew::default() };
         let jobs = Self { worker: JobWorker::new(store, functions, held, crew, gives_way), bench };
         if workers != Workers::None {
-            // No other process serves what is stored, so leases of the last one are free.
+            // No other process has this bench, so leases of the last one are free.
             jobs.shared().store.end_leases().await?;
             jobs.bench.start().await?;
             jobs.worker.start().await?;

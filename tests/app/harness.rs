@@ -244,6 +244,7 @@ pub async fn until<F: Future<Output = bool>>(what: &str, mut test: impl FnMut() 
 /// A request for this mass of a powder, within a milligram.
 pub fn mg(powder: &str, value: f64) -> WeighingRequest {
     WeighingRequest {
+        bench_name: None,
         powder: powder.into(),
         target: Target { value, unit: "mg".into() },
         tolerance: Tolerance { lower: 1.0, upper: 1.0, unit: "mg".into() },

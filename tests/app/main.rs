@@ -3,6 +3,7 @@
 
 mod asked;
 mod bench;
+mod benches;
 mod calibration;
 mod endings;
 mod harness;

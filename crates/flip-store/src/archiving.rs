@@ -7,9 +7,8 @@
 
 use super::archive::{Away, DEED, Named, hash_at, member};
 use super::artifacts::sha256_hex;
-use super::audit::{Written, beginning};
+use super::audit::{About, CHAIN, Written, beginning, chain_start};
 use super::lock::ArchivingLock;
-use super::row::Columns;
 use super::{Error, Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
@@ -24,6 +23,7 @@ const RECORDS_MAX: i64 = 10_000;
 const BULK: &str = "SELECT audit.* FROM audit JOIN weighing ON weighing.id = audit.weighing \
     WHERE audit.seq > $1 AND weighing.outcome IS NOT NULL AND weighing.finished_at < $2 \
     AND audit.kind IN ('state', 'sent', 'received', 'reading', 'decision') ORDER BY audit.seq LIMIT $3";
+// A file holds records of one chain, whose own record names it.
 
 /// What was moved into archives.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
@@ -61,7 +61,9 @@ impl Store {
         let mut done = Archived { before: Some(before), ..Archived::default() };
         let (mut after, mut weighings) = (0, HashSet::new());
         loop {
-            let records = self.bulk_after(after, before).await?;
+            let mut records = self.bulk_after(after, before).await?;
+            let start = records.first().map_or(0, |first| chain_start(first.seq));
+            records.retain(|record| chain_start(record.seq) == start);
             let Some(last) = records.last() else { break };
             after = last.seq;
             weighings.extend(records.iter().filter_map(|record| record.weighing.clone()));
@@ -160,13 +162,12 @@ impl Store {
 
 impl Tx {
     async fn name_archive(&mut self, packed: &Packed) -> Result<()> {
-        let said = serde_json::to_value(&packed.named)
+        let mut said = serde_json::to_value(&packed.named)
             .map_err(|error| Error::Corrupt(error.to_string()))?;
-        self.audit_deed(None, DEED, said, now()).await?;
-        let archive: i64 = sqlx::query("SELECT max(seq) AS seq FROM audit")
-            .fetch_one(&mut *self.inner)
-            .await?
-            .plain("seq")?;
+        said["action"] = DEED.into();
+        let chain = packed.named.first / CHAIN;
+        let about = About { weighing: None, kind: "person" };
+        let archive = self.audit_in(chain, about, &said, now()).await?;
         for away in &packed.aways {
             // Detects another process's work where the file system has no locks.
             let left = "SELECT count(*) FROM audit WHERE seq BETWEEN $1 AND $2";

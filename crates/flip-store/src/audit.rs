@@ -5,6 +5,10 @@
 //! hash = SHA-256 of  previous hash LF seq LF milliseconds since 1970 LF weighing LF kind LF body     (in hexadecimal; 64 zeros before the first)
 //! ```
 //!
+//! There is a chain for each bench, so that benches do not wait for each other. The records of the
+//! n-th begin at 1 + n * 2^40; the 0th is that of the bench named `bench`, and of everything that
+//! belongs to no bench.
+//!
 //! `verify.rs` verifies it, `trail.rs` reads it, `archive.rs` moves old records into files. The
 //! database refuses to change or delete a record, and editing the file by other means breaks the
 //! chain. A chain truncated at its end looks whole: to detect that, keep a hash elsewhere, as a
@@ -25,7 +29,7 @@ use sqlx::any::AnyRow;
 /// One record of the audit trail.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AuditRecord {
-    /// Position; without gaps.
+    /// Position; without gaps within a bench's chain.
     pub seq: i64,
     /// When.
     pub at: Timestamp,
@@ -46,7 +50,7 @@ pub struct AuditRecord {
 pub struct AuditVerification {
     /// Records checked.
     pub records: i64,
-    /// Hash of the last record; 64 zeros if there is none.
+    /// Hash of the last record of the first chain; 64 zeros if there is none.
     pub last_hash: String,
     /// The first record that is not what was written, and why.
     pub broken: Option<AuditBreak>,
@@ -64,6 +68,18 @@ pub struct AuditVerification {
     /// them is in `broken` too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub archives: Vec<LostArchive>,
+    /// The chains of further benches: absent where there is one bench.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub chains: Vec<AuditChain>,
+}
+
+/// One further chain.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AuditChain {
+    /// Position of its last record.
+    pub last_seq: i64,
+    /// Hash of its last record.
+    pub last_hash: String,
 }
 
 /// Where an audit trail is broken.
@@ -121,22 +137,72 @@ fn chained(previous: &str, seq: i64, at_ms: i64, about: About<'_>, body: &str) -
     )))
 }
 
+/// Positions from the beginning of a chain to that of the next.
+pub(super) const CHAIN: i64 = 1 << 40;
+
+/// The position before the first of the chain that holds this one.
+pub(super) fn chain_start(seq: i64) -> i64 {
+    (seq / CHAIN) * CHAIN
+}
+
+impl About<'_> {
+    /// Whether such a record belongs to a bench.
+    fn is_of_bench(&self) -> bool {
+        self.weighing.is_some() || matches!(self.kind, "latch" | "hold" | "check" | "pile")
+    }
+}
+
 impl Tx {
-    /// Append a record to the chain.
+    /// Append a record to the chain of the store's bench, if it is of a bench, else to the first.
     pub async fn audit(
         &mut self,
         about: About<'_>,
         body: &impl Serialize,
         now: Timestamp,
     ) -> Result<()> {
+        let chain = if about.is_of_bench() { self.store.bench.chain } else { 0 };
+        self.audit_in(chain, about, body, now).await.map(drop)
+    }
+
+    /// Append a record to the chain of the store's bench.
+    pub(super) async fn audit_at_bench(
+        &mut self,
+        about: About<'_>,
+        body: &impl Serialize,
+        now: Timestamp,
+    ) -> Result<()> {
+        self.audit_in(self.store.bench.chain, about, body, now).await.map(drop)
+    }
+
+    /// Nobody else adds to this chain until the transaction ends.
+    pub(super) async fn lock_chain(&mut self, chain: i64) -> Result<()> {
+        if self.store.is_postgres() && !self.chains.contains(&chain) {
+            super::postgres::lock_chain(&mut self.inner, chain).await?;
+            self.chains.push(chain);
+        }
+        Ok(())
+    }
+
+    /// Append a record to a chain; returns its position.
+    pub(super) async fn audit_in(
+        &mut self,
+        chain: i64,
+        about: About<'_>,
+        body: &impl Serialize,
+        now: Timestamp,
+    ) -> Result<i64> {
+        self.lock_chain(chain).await?;
+        let start = chain * CHAIN;
         let body = match about.kind {
             "person" | "intent" => json(&signed(body)?)?,
             _ => json(body)?,
         };
-        let last = sqlx::query("SELECT seq, hash FROM audit ORDER BY seq DESC LIMIT 1");
+        let last =
+            "SELECT seq, hash FROM audit WHERE seq > $1 AND seq <= $2 ORDER BY seq DESC LIMIT 1";
+        let last = sqlx::query(last).bind(start).bind(start + CHAIN);
         let (seq, previous) = match last.fetch_optional(&mut *self.inner).await? {
             Some(row) => (row.plain::<i64>("seq")? + 1, row.plain::<String>("hash")?),
-            None => (1, beginning()),
+            None => (start + 1, beginning()),
         };
         let hash = chained(&previous, seq, now.unix_ms(), about, &body);
         sqlx::query("INSERT INTO audit (seq, at, weighing, kind, body, hash) VALUES ($1, $2, $3, $4, $5, $6)")
@@ -148,7 +214,7 @@ impl Tx {
             .bind(hash)
             .execute(&mut *self.inner)
             .await?;
-        Ok(())
+        Ok(seq)
     }
 }
 

@@ -29,17 +29,24 @@ pub struct Latch {
 pub const BENCH_TOPIC: &str = "bench";
 /// The open latch. One from before benches were stored has the bench of its weighing.
 const OPEN: &str = "SELECT seq, at, reason, weighing, coalesce(bench, (SELECT bench FROM weighing WHERE id = latch.weighing)) AS bench \
-                    FROM latch WHERE cleared_at IS NULL";
+                    FROM latch WHERE cleared_at IS NULL AND bench_name = $1";
 
 impl Store {
     /// Why the bench is latched, if it is.
     pub async fn latch(&self) -> Result<Option<Latch>> {
-        sqlx::query(OPEN).fetch_optional(&self.reader).await?.as_ref().map(latch).transpose()
+        sqlx::query(OPEN)
+            .bind(self.bench_name())
+            .fetch_optional(&self.reader)
+            .await?
+            .as_ref()
+            .map(latch)
+            .transpose()
     }
 
     /// As [`Store::latch`], on a separate connection that nobody else waits for.
     pub async fn latch_apart(&self) -> Result<Option<Latch>> {
-        let row = sqlx::query("SELECT * FROM latch WHERE cleared_at IS NULL")
+        let row = sqlx::query("SELECT * FROM latch WHERE cleared_at IS NULL AND bench_name = $1")
+            .bind(self.bench_name())
             .fetch_optional(&self.apart)
             .await?;
         row.as_ref().map(latch).transpose()
@@ -50,8 +57,9 @@ impl Store {
         &self,
         kind: CheckKind,
     ) -> Result<Option<(Timestamp, T)>> {
-        let sql = "SELECT at, body FROM bench_check WHERE kind = $1 ORDER BY seq DESC LIMIT 1";
-        let row = sqlx::query(sql).bind(word(&kind)).fetch_optional(&self.reader).await?;
+        let sql = "SELECT at, body FROM bench_check WHERE kind = $1 AND bench_name = $2 ORDER BY seq DESC LIMIT 1";
+        let row = sqlx::query(sql).bind(word(&kind)).bind(self.bench_name());
+        let row = row.fetch_optional(&self.reader).await?;
         row.map(|row| Ok((row.time("at")?, row.json("body")?))).transpose()
     }
 }
@@ -63,26 +71,26 @@ impl Tx {
         if let Some(first) = self.latch().await? {
             return Ok(first);
         }
-        sqlx::query("INSERT INTO latch (at, reason, weighing, bench) VALUES ($1, $2, $3, $4)")
+        let sql = "INSERT INTO latch (at, reason, weighing, bench, bench_name) VALUES ($1, $2, $3, $4, $5)";
+        sqlx::query(sql)
             .bind(latched.at.unix_ms())
             .bind(&latched.reason)
             .bind(&latched.weighing)
             .bind(latched.bench.as_ref().map(word))
+            .bind(&*self.store.bench.name)
             .execute(&mut *self.inner)
             .await?;
-        self.audit(
-            About { weighing: latched.weighing.as_deref(), kind: "latch" },
-            latched,
-            latched.at,
-        )
-        .await?;
-        self.emit(BENCH_TOPIC, "latched", latched).await?;
+        let about = About { weighing: latched.weighing.as_deref(), kind: "latch" };
+        let said = self.named(latched)?;
+        self.audit(about, &said, latched.at).await?;
+        self.emit(BENCH_TOPIC, "latched", &said).await?;
         Ok(latched.clone())
     }
 
     /// Why the bench is latched, if it is, as seen inside the transaction.
     pub async fn latch(&mut self) -> Result<Option<Latch>> {
-        sqlx::query(OPEN).fetch_optional(&mut *self.inner).await?.as_ref().map(latch).transpose()
+        let row = sqlx::query(OPEN).bind(&*self.store.bench.name);
+        row.fetch_optional(&mut *self.inner).await?.as_ref().map(latch).transpose()
     }
 
     /// Clear the latch after a person has checked the bench; returns the latch, if there was one:
@@ -94,13 +102,14 @@ impl Tx {
         now: Timestamp,
     ) -> Result<Option<Latch>> {
         let latched = self.latch().await?;
-        let sql =
-            "UPDATE latch SET cleared_at = $1, cleared_by = $2, note = $3 WHERE cleared_at IS NULL";
-        sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note).execute(&mut *self.inner).await?;
-        let said =
+        let sql = "UPDATE latch SET cleared_at = $1, cleared_by = $2, note = $3 WHERE cleared_at IS NULL AND bench_name = $4";
+        let row = sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note);
+        row.bind(&*self.store.bench.name).execute(&mut *self.inner).await?;
+        let mut said =
             serde_json::json!({ "action": "clear", "by": by, "note": note, "latch": latched });
+        self.name_bench(&mut said);
         let weighing = latched.as_ref().and_then(|latch| latch.weighing.as_deref());
-        self.audit(About { weighing, kind: "person" }, &said, now).await?;
+        self.audit_at_bench(About { weighing, kind: "person" }, &said, now).await?;
         self.emit(BENCH_TOPIC, "cleared", &said).await?;
         Ok(latched)
     }
@@ -112,15 +121,27 @@ impl Tx {
         body: &impl Serialize,
         now: Timestamp,
     ) -> Result<()> {
-        let sql = "INSERT INTO bench_check (at, kind, body) VALUES ($1, $2, $3)";
+        let sql = "INSERT INTO bench_check (at, kind, body, bench_name) VALUES ($1, $2, $3, $4)";
         sqlx::query(sql)
             .bind(now.unix_ms())
             .bind(word(&kind))
             .bind(json(body)?)
+            .bind(&*self.store.bench.name)
             .execute(&mut *self.inner)
             .await?;
-        let said = serde_json::json!({ "check": word(&kind), "found": body });
+        let mut said = serde_json::json!({ "check": word(&kind), "found": body });
+        self.name_bench(&mut said);
         self.audit(About { weighing: None, kind: "check" }, &said, now).await
+    }
+}
+
+impl Tx {
+    /// What is recorded of the bench, with its name.
+    pub(super) fn named(&self, said: &impl Serialize) -> Result<serde_json::Value> {
+        let said = serde_json::to_value(said);
+        let mut said = said.map_err(|error| super::Error::Corrupt(error.to_string()))?;
+        self.name_bench(&mut said);
+        Ok(said)
     }
 }
 

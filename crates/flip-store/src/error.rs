@@ -9,6 +9,23 @@ pub enum Error {
     /// Another process holds the data folder.
     #[error("flip serve holds this database ({0}): stop it, or ask it through its API")]
     Held(PathBuf),
+    /// Another process has this bench.
+    #[error(
+        "bench `{bench}` is served by {machine}, heard of {heard_s} s ago: name another with --bench-name, or end that process first"
+    )]
+    Served {
+        /// The bench.
+        bench: String,
+        /// The machine of its process.
+        machine: String,
+        /// How long ago that was last heard of, s.
+        heard_s: i64,
+    },
+    /// This process no longer has the bench.
+    #[error(
+        "bench `{0}` has changed hands, or was taken for lost: this process records nothing of it any more. See who has it (`flip bench list`), look at spoon, vial and balance, then clear it there"
+    )]
+    Disowned(String),
     /// One process at a time moves records into archives.
     #[error(
         "another archiving of the audit trail is under way: wait until it has ended, and ask again"

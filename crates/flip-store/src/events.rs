@@ -23,6 +23,15 @@ pub struct Event {
     pub at: Timestamp,
 }
 
+/// An event of a transaction that is not committed yet.
+#[derive(Debug)]
+pub(super) struct Told {
+    topic: String,
+    kind: String,
+    data: String,
+    at: Timestamp,
+}
+
 /// The number of the latest event, 0 if there is none.
 pub(super) const NEWEST: &str = "SELECT coalesce(max(seq), 0) FROM event";
 
@@ -67,16 +76,25 @@ impl Store {
 impl Tx {
     /// Emit an event; followers are notified once the transaction is committed.
     pub async fn emit(&mut self, topic: &str, kind: &str, data: &impl Serialize) -> Result<()> {
-        let sql = "INSERT INTO event (topic, kind, data, at) VALUES ($1, $2, $3, $4) RETURNING seq";
-        let seq = sqlx::query_scalar(sql)
-            .bind(topic)
-            .bind(kind)
-            .bind(json(data)?)
-            .bind(now().unix_ms())
-            .fetch_one(&mut *self.inner)
-            .await?;
-        self.newest_event = Some(seq);
+        let (topic, kind) = (topic.to_owned(), kind.to_owned());
+        self.events.push(Told { topic, kind, data: json(data)?, at: now() });
         Ok(())
+    }
+
+    /// Store the events, one writer at a time, and return the number of the last.
+    pub(super) async fn tell_events(&mut self) -> Result<Option<i64>> {
+        let events = std::mem::take(&mut self.events);
+        if !events.is_empty() && self.store.is_postgres() {
+            super::postgres::lock_events(&mut self.inner).await?;
+        }
+        let mut newest = None;
+        for Told { topic, kind, data, at } in events {
+            let sql =
+                "INSERT INTO event (topic, kind, data, at) VALUES ($1, $2, $3, $4) RETURNING seq";
+            let row = sqlx::query_scalar(sql).bind(topic).bind(kind).bind(data).bind(at.unix_ms());
+            newest = Some(row.fetch_one(&mut *self.inner).await?);
+        }
+        Ok(newest)
     }
 
     /// Like [`Tx::emit`], but only the latest event of this kind is kept: a client that resumes
@@ -89,6 +107,7 @@ impl Tx {
     ) -> Result<()> {
         let sql = "DELETE FROM event WHERE topic = $1 AND kind = $2";
         sqlx::query(sql).bind(topic).bind(kind).execute(&mut *self.inner).await?;
+        self.events.retain(|told| told.topic != topic || told.kind != kind);
         self.emit(topic, kind, data).await
     }
 }

@@ -20,37 +20,44 @@ pub struct Held {
 }
 
 /// The open hold.
-const OPEN: &str = "SELECT at, reason, held_by FROM bench_hold WHERE resumed_at IS NULL";
+const OPEN: &str =
+    "SELECT at, reason, held_by FROM bench_hold WHERE resumed_at IS NULL AND bench_name = $1";
 
 impl Store {
     /// Whether the bench is held, and why.
     pub async fn held(&self) -> Result<Option<Held>> {
-        sqlx::query(OPEN).fetch_optional(&self.reader).await?.as_ref().map(held).transpose()
+        let row = sqlx::query(OPEN).bind(self.bench_name());
+        row.fetch_optional(&self.reader).await?.as_ref().map(held).transpose()
     }
 }
 
 impl Tx {
     /// Hold the bench; if it is held already, the first reason stays.
     pub async fn hold_bench(&mut self, held: &Held) -> Result<()> {
-        let sql = "INSERT INTO bench_hold (at, reason, held_by) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING";
+        let sql = "INSERT INTO bench_hold (at, reason, held_by, bench_name) VALUES ($1, $2, $3, $4) ON CONFLICT DO NOTHING";
         let row = sqlx::query(sql).bind(held.at.unix_ms()).bind(&held.reason).bind(&held.by);
+        let row = row.bind(&*self.store.bench.name);
         if row.execute(&mut *self.inner).await?.rows_affected() == 0 {
             return Ok(());
         }
-        self.audit(About { weighing: None, kind: "hold" }, held, held.at).await?;
-        self.emit(BENCH_TOPIC, "held", held).await
+        let said = self.named(held)?;
+        self.audit(About { weighing: None, kind: "hold" }, &said, held.at).await?;
+        self.emit(BENCH_TOPIC, "held", &said).await
     }
 
     /// Resume the bench, so that doses can start again. `false`: it was not held.
     pub async fn resume_bench(&mut self, by: &str, note: &str, now: Timestamp) -> Result<bool> {
-        let Some(open) = sqlx::query(OPEN).fetch_optional(&mut *self.inner).await? else {
+        let open = sqlx::query(OPEN).bind(&*self.store.bench.name);
+        let Some(open) = open.fetch_optional(&mut *self.inner).await? else {
             return Ok(false);
         };
-        let sql = "UPDATE bench_hold SET resumed_at = $1, resumed_by = $2, note = $3 WHERE resumed_at IS NULL";
-        sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note).execute(&mut *self.inner).await?;
-        let said =
+        let sql = "UPDATE bench_hold SET resumed_at = $1, resumed_by = $2, note = $3 WHERE resumed_at IS NULL AND bench_name = $4";
+        let row = sqlx::query(sql).bind(now.unix_ms()).bind(by).bind(note);
+        row.bind(&*self.store.bench.name).execute(&mut *self.inner).await?;
+        let mut said =
             serde_json::json!({ "action": "resume", "by": by, "note": note, "held": held(&open)? });
-        self.audit(About { weighing: None, kind: "person" }, &said, now).await?;
+        self.name_bench(&mut said);
+        self.audit_at_bench(About { weighing: None, kind: "person" }, &said, now).await?;
         self.emit(BENCH_TOPIC, "resumed", &said).await?;
         Ok(true)
     }

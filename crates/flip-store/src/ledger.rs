@@ -82,13 +82,13 @@ impl Store {
     }
 
     /// Requeue running jobs that nobody computes. Sound only at startup: the lock on the data folder
-    /// or the database proves that no other process serves it. Without a server there is no other
-    /// worker either; with one, there may be workers that serve nothing.
+    /// proves that there is no other worker. With a server there may be others: those that serve
+    /// nothing, and those that have a bench.
     pub async fn end_leases(&self) -> Result<()> {
         let mut tx = self.write().await?;
         let sql = "UPDATE job SET state = 'queued', message = 'waits to go on: the process ended', deaths = deaths + 1, \
                    owner = NULL, lease_until = NULL WHERE state = 'running' AND NOT ($1 AND owner IN \
-                   (SELECT id FROM worker WHERE ended_at IS NULL AND NOT serves)) RETURNING *";
+                   (SELECT id FROM worker WHERE ended_at IS NULL AND (NOT serves OR id IN (SELECT owner FROM bench)))) RETURNING *";
         let rows = sqlx::query(sql).bind(self.is_postgres()).fetch_all(&mut *tx.inner).await?;
         for row in &rows {
             let job = tx.announce_job(row).await?;

@@ -3,6 +3,9 @@
 //! The database is a file of SQLite in that folder, or one on a server of PostgreSQL. Statements are
 //! written once, for both: `sql.rs` says how, `sqlite.rs` and `postgres.rs` hold what only one has.
 //!
+//! There is one writer at a time, except that what a dose records on a bench of a server's database
+//! waits for nobody but that bench's own writers (`benches.rs`).
+//!
 //! One connection writes and four read; two more read for answers that grow with the whole history.
 //! A transaction that writes begins with a lock that only one has. In SQLite that is `BEGIN
 //! IMMEDIATE`: a deferred one that reads first and writes later can fail with a snapshot conflict,
@@ -15,6 +18,8 @@ pub mod audit;
 pub mod audit_search;
 pub mod backup;
 pub mod bench;
+pub mod bench_requests;
+pub mod benches;
 pub mod checklist;
 mod clock;
 pub mod counts;
@@ -56,6 +61,7 @@ mod trail;
 pub mod trials;
 pub mod verify;
 pub mod webhooks;
+mod weighing_rows;
 pub mod weighing_search;
 pub mod weighings;
 pub mod who;
@@ -68,11 +74,13 @@ pub use storage::Storage;
 
 use archive::Archives;
 use artifacts::Artifacts;
+use benches::{Owned, Speaks};
+use events::Told;
 use lock::DataLock;
 use place::Place;
 use postgres::Server;
 use sqlx::{Any, AnyPool, Transaction};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tempfile::TempDir;
 use tokio::sync::watch;
 
@@ -95,6 +103,13 @@ pub struct Store {
     /// What shows that the data folder is where it was: SQLite's file, else the lock; `None` for a
     /// database on a server beside the process that serves it.
     place: Option<Place>,
+    /// The bench that this store speaks for.
+    bench: Speaks,
+    /// That this process has it, in a server's database.
+    owned: Arc<OnceLock<Owned>>,
+    /// For what doses record in a server's database: they wait for no other transaction of this
+    /// process either.
+    recorder: Option<AnyPool>,
     /// Error of the last write transaction, if it failed.
     unwritten: Arc<Mutex<Option<String>>>,
     /// Held until the last clone is gone.
@@ -115,7 +130,12 @@ impl Store {
         self.is_in_place()?;
         let begun = self.begin(writer).await;
         let inner = begun.inspect_err(|error| self.note_written(Some(error)))?;
-        Ok(Tx { inner, store: self.clone(), newest_event: None, unnamed: Vec::new() })
+        Ok(self.transaction(inner))
+    }
+
+    fn transaction(&self, inner: Transaction<'static, Any>) -> Tx {
+        let (events, chains, unnamed) = Default::default();
+        Tx { inner, store: self.clone(), events, chains, unnamed }
     }
 
     /// Begin with the lock that only one transaction has.
@@ -169,6 +189,11 @@ impl Store {
     /// Close every connection, after checkpointing the write-ahead log into the database.
     /// Idempotent.
     pub async fn close(&self) {
+        if self.writer.as_ref().is_some_and(|writer| !writer.is_closed())
+            && let Err(error) = self.give_bench_back().await
+        {
+            tracing::warn!(%error, "the bench was not given back; others call it lost when its lease ends");
+        }
         if let Some(server) = &self.server {
             server.close().await;
         }
@@ -176,6 +201,9 @@ impl Store {
         self.reader.close().await;
         self.apart.close().await;
         self.long.close().await;
+        if let Some(recorder) = &self.recorder {
+            recorder.close().await;
+        }
         if let Some(writer) = self.writer.as_ref().filter(|writer| !writer.is_closed()) {
             if !self.is_postgres()
                 && let Err(error) =
@@ -193,7 +221,11 @@ impl Store {
 pub struct Tx {
     inner: Transaction<'static, Any>,
     store: Store,
-    newest_event: Option<i64>,
+    /// What is told at the end: only then, so that events become visible in the order of their
+    /// numbers.
+    events: Vec<Told>,
+    /// Chains of the audit trail that nobody else adds to until the end.
+    chains: Vec<i64>,
     /// Artifacts that this transaction's rows no longer name.
     unnamed: Vec<String>,
 }
@@ -204,12 +236,14 @@ impl Tx {
     ///
     /// # Errors
     /// [`Error::Database`], [`Error::Gone`]: nothing was written.
-    pub async fn commit(self) -> Result<()> {
+    pub async fn commit(mut self) -> Result<()> {
         self.store.is_in_place()?;
-        let committed = self.inner.commit().await.map_err(Error::from);
+        let committed = match self.tell_events().await {
+            Ok(newest) => self.inner.commit().await.map_err(Error::from).map(|()| newest),
+            Err(error) => Err(error),
+        };
         self.store.note_written(committed.as_ref().err());
-        committed?;
-        if let Some(seq) = self.newest_event {
+        if let Some(seq) = committed? {
             events::tell(&self.store.newest_event, seq);
         }
         for sha256 in self.unnamed {

@@ -22,6 +22,22 @@ impl DataLock {
     /// # Errors
     /// [`Error::Held`] while another process has it.
     pub fn take(data_dir: &Path) -> Result<Self> {
+        Self::lock(data_dir, File::try_lock)
+    }
+
+    /// Take the lock together with others, for the files of a server's database: whoever takes it
+    /// alone is kept out.
+    ///
+    /// # Errors
+    /// [`Error::Held`] while another process has it alone.
+    pub fn share(data_dir: &Path) -> Result<Self> {
+        Self::lock(data_dir, File::try_lock_shared)
+    }
+
+    fn lock(
+        data_dir: &Path,
+        try_lock: fn(&File) -> std::result::Result<(), TryLockError>,
+    ) -> Result<Self> {
         let path = data_dir.join("flip.lock");
         let failed = |source| Error::File { path: path.clone(), source };
         let held = || Error::Held(data_dir.to_owned());
@@ -33,13 +49,13 @@ impl DataLock {
             .mode(0o600)
             .open(&path)
             .map_err(failed)?;
-        match file.try_lock() {
+        match try_lock(&file) {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(held()),
             Err(TryLockError::Error(source)) => return Err(failed(source)),
         }
         let folder = File::open(data_dir).map_err(failed)?;
-        let folder = match folder.try_lock() {
+        let folder = match try_lock(&folder) {
             Ok(()) => Some(folder),
             Err(TryLockError::WouldBlock) => return Err(held()),
             // Not every file system can (NFS): the lock on the file has to do.

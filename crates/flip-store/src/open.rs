@@ -2,6 +2,7 @@
 
 use super::archive::{self, Archives};
 use super::artifacts::Artifacts;
+use super::benches::Speaks;
 use super::clock;
 use super::events::NEWEST;
 use super::lock::DataLock;
@@ -27,20 +28,19 @@ const READERS: u32 = 4;
 /// Number of read connections for long answers only.
 const LONG_READERS: u32 = 2;
 
-/// What the one process that serves a database on a server holds.
+/// What a process that serves a database on a server holds.
 struct Held {
     place: Place,
     lock: Arc<DataLock>,
-    /// Its lock in the database.
-    alone: PgConnection,
 }
 
 impl Store {
     /// Open for reading and writing; create, migrate and seed what is stored when needed. One
-    /// process at a time.
+    /// process at a time has the folder; of a server's database, one has each bench.
     ///
     /// # Errors
-    /// [`Error::Held`] while another process has the folder or serves the database; [`Error::Lost`],
+    /// [`Error::Held`] while another process has the folder; [`Error::Served`] while one has the
+    /// bench; [`Error::Lost`],
     /// [`Error::Damaged`], [`Error::Newer`]: nothing was changed; [`Error::Old`], [`Error::Server`],
     /// [`Error::Unreachable`], [`Error::Database`], [`Error::File`]; [`Error::ArtifactsTaken`],
     /// [`Error::ArtifactsAway`], [`Error::Artifacts`].
@@ -48,19 +48,23 @@ impl Store {
         let storage = storage.into();
         let folder = storage.folder();
         sound::make_folder(folder)?;
-        let lock = DataLock::take(folder)?;
-        let store = match storage.server() {
-            None => Self::open_file(&storage, lock).await?,
+        let mut store = match storage.server() {
+            None => Self::open_file(&storage, DataLock::take(folder)?).await?,
             Some(address) => {
+                let lock = DataLock::share(folder)?;
                 if folder.join(DATABASE).exists() {
                     return Err(Error::Two(folder.to_owned()));
                 }
-                let alone = postgres::prepare(address).await?;
-                let place = Place::of(lock.path())?;
-                let held = Held { place, lock: Arc::new(lock), alone };
-                Self::connect(&storage, address, true, Some(held)).await?
+                let mut alone = postgres::prepare_to_serve(address).await?;
+                let held = Held { place: Place::of(lock.path())?, lock: Arc::new(lock) };
+                let mut store = Self::connect(&storage, address, true, Some(held)).await?;
+                store.speak_for(storage.bench()).await?;
+                store.lock_bench(&mut alone).await?;
+                store.follow(address, Some(alone));
+                store
             }
         };
+        store.speak_for(storage.bench()).await?;
         store.seed_published_powders().await?;
         store.take_stock().await?;
         store.claim_artifacts().await?;
@@ -97,12 +101,13 @@ impl Store {
             (pool(READERS).await?, pool(1).await?, pool(LONG_READERS).await?);
         clock::set(&apart).await?;
         let newest_event = watch::Sender::new(newest_event(&reader).await?);
-        let (place, lock, alone) = match held {
-            Some(Held { place, lock, alone }) => (Some(place), Some(lock), Some(alone)),
-            None => (None, None, None),
+        // Only who has a bench records doses.
+        let recorder = match &held {
+            Some(_) => Some(postgres::writer(address.clone()).await?),
+            None => None,
         };
-        let server = Server::new(address.clone(), alone, newest_event.clone(), apart.clone());
-        Ok(Self {
+        let (place, lock) = held.map(|Held { place, lock }| (place, lock)).unzip();
+        let mut store = Self {
             reader,
             apart,
             long,
@@ -110,12 +115,24 @@ impl Store {
             artifacts: storage.artifacts(),
             archives: archives(folder),
             newest_event,
-            server: Some(Arc::new(server)),
+            server: None,
             place,
+            bench: Speaks::default(),
+            owned: Arc::default(),
+            recorder,
             unwritten: Arc::default(),
             lock,
             _copied: None,
-        })
+        };
+        store.follow(address, None);
+        Ok(store)
+    }
+
+    /// Follow the events that other processes write, and keep the locks of this connection.
+    fn follow(&mut self, address: &AnyConnectOptions, alone: Option<PgConnection>) {
+        let alone = (alone, self.bench.chain);
+        let (newest, reader) = (self.newest_event.clone(), self.apart.clone());
+        self.server = Some(Arc::new(Server::new(address.clone(), alone, newest, reader)));
     }
 
     /// Open what is there read-only, even while another process writes.
@@ -207,6 +224,9 @@ impl Store {
             newest_event,
             server: None,
             place: Some(Place::of(&holds_database.join(DATABASE))?),
+            bench: Speaks::default(),
+            owned: Arc::default(),
+            recorder: None,
             unwritten: Arc::default(),
             lock,
             _copied: copied.map(Arc::new),
@@ -294,7 +314,8 @@ mod tests {
         let storage = testing::storage(folder.path()).await;
         Store::open(&storage).await.unwrap().close().await;
         let store = Store::open(&storage).await.unwrap();
-        assert!(matches!(Store::open(&storage).await, Err(Error::Held(_))));
+        let second = Store::open(&storage).await;
+        assert!(matches!(second, Err(Error::Held(_) | Error::Served { .. })), "{second:?}");
         let reader = Store::open_to_read(&storage).await.unwrap();
         let count: i64 = sqlx::query_scalar("SELECT count(*) FROM measurement")
             .fetch_one(&reader.reader)

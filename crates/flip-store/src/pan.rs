@@ -34,14 +34,16 @@ pub enum Refused {
 impl Store {
     /// State of the pan.
     pub async fn pan(&self) -> Result<Pan> {
-        let row = sqlx::query("SELECT body FROM bench_pan").fetch_optional(&self.reader).await?;
+        let row = sqlx::query("SELECT body FROM bench_pan WHERE one = $1").bind(self.bench.one());
+        let row = row.fetch_optional(&self.reader).await?;
         row.map_or_else(|| Ok(Pan::default()), |row| row.json("body"))
     }
 
     /// The last reservation, which may have ended.
     pub async fn reservation(&self) -> Result<Option<Reservation>> {
         let row =
-            sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&self.reader).await?;
+            sqlx::query("SELECT * FROM bench_reservation WHERE one = $1").bind(self.bench.one());
+        let row = row.fetch_optional(&self.reader).await?;
         row.as_ref().map(reservation).transpose()
     }
 }
@@ -49,9 +51,11 @@ impl Store {
 impl Tx {
     /// Update the state of the pan.
     pub async fn set_pan(&mut self, pan: &Pan) -> Result<()> {
-        let sql = "INSERT INTO bench_pan (one, body) VALUES (1, $1) ON CONFLICT (one) DO UPDATE SET body = excluded.body";
-        sqlx::query(sql).bind(json(pan)?).execute(&mut *self.inner).await?;
-        self.emit(BENCH_TOPIC, "vial", &serde_json::json!({ "vial": pan.vial })).await
+        let sql = "INSERT INTO bench_pan (one, body) VALUES ($2, $1) ON CONFLICT (one) DO UPDATE SET body = excluded.body";
+        let row = sqlx::query(sql).bind(json(pan)?).bind(self.store.bench.one());
+        row.execute(&mut *self.inner).await?;
+        let said = self.named(&serde_json::json!({ "vial": pan.vial }))?;
+        self.emit(BENCH_TOPIC, "vial", &said).await
     }
 
     /// Someone confirms that the vial of a weighing is in.
@@ -73,8 +77,9 @@ impl Tx {
         named: Option<&str>,
         now: Timestamp,
     ) -> Result<Option<Refused>> {
-        let row =
-            sqlx::query("SELECT * FROM bench_reservation").fetch_optional(&mut *self.inner).await?;
+        let row = sqlx::query("SELECT * FROM bench_reservation WHERE one = $1")
+            .bind(self.store.bench.one());
+        let row = row.fetch_optional(&mut *self.inner).await?;
         let reserved = row.as_ref().map(reservation).transpose()?;
         Ok(refusal(reserved.filter(|it| it.until > now), named))
     }
@@ -89,37 +94,41 @@ impl Tx {
         if refused.is_some() || id.is_some() {
             return Ok(refused);
         }
-        let first = "SELECT id FROM weighing WHERE outcome IS NULL ORDER BY seq LIMIT 1";
-        let first: Option<String> =
-            sqlx::query_scalar(first).fetch_optional(&mut *self.inner).await?;
+        let first = "SELECT id FROM weighing WHERE outcome IS NULL AND bench_name = $1 ORDER BY seq LIMIT 1";
+        let first = sqlx::query_scalar(first).bind(&*self.store.bench.name);
+        let first: Option<String> = first.fetch_optional(&mut *self.inner).await?;
         Ok(first.map(Refused::InUse))
     }
 
     /// Reserve the bench, replacing any earlier reservation.
     pub async fn reserve_bench(&mut self, reserved: &Reservation, now: Timestamp) -> Result<()> {
-        let sql = "INSERT INTO bench_reservation (one, id, owner, until) VALUES (1, $1, $2, $3) \
+        let sql = "INSERT INTO bench_reservation (one, id, owner, until) VALUES ($4, $1, $2, $3) \
                    ON CONFLICT (one) DO UPDATE SET id = excluded.id, owner = excluded.owner, until = excluded.until";
         let row = sqlx::query(sql)
             .bind(&reserved.id)
             .bind(&reserved.owner)
-            .bind(reserved.until.unix_ms());
+            .bind(reserved.until.unix_ms())
+            .bind(self.store.bench.one());
         row.execute(&mut *self.inner).await?;
         let said = serde_json::json!({ "action": "reserve", "reservation": reserved });
-        self.audit(About { weighing: None, kind: "person" }, &said, now).await?;
-        self.emit(BENCH_TOPIC, "reserved", reserved).await
+        self.audit_at_bench(About { weighing: None, kind: "person" }, &said, now).await?;
+        let said = self.named(reserved)?;
+        self.emit(BENCH_TOPIC, "reserved", &said).await
     }
 
     /// Release a reservation. `false`: it is not the current one.
     pub async fn release_bench(&mut self, id: &str, now: Timestamp) -> Result<bool> {
-        let deleted = sqlx::query("DELETE FROM bench_reservation WHERE id = $1")
+        let deleted = sqlx::query("DELETE FROM bench_reservation WHERE id = $1 AND one = $2")
             .bind(id)
+            .bind(self.store.bench.one())
             .execute(&mut *self.inner)
             .await?;
         if deleted.rows_affected() == 0 {
             return Ok(false);
         }
-        let said = serde_json::json!({ "action": "release", "reservation": id });
-        self.audit(About { weighing: None, kind: "person" }, &said, now).await?;
+        let mut said = serde_json::json!({ "action": "release", "reservation": id });
+        self.name_bench(&mut said);
+        self.audit_at_bench(About { weighing: None, kind: "person" }, &said, now).await?;
         self.emit(BENCH_TOPIC, "released", &said).await?;
         Ok(true)
     }

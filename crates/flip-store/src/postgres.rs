@@ -42,8 +42,10 @@ pub(super) struct Server {
     following: AbortHandle,
     /// Counts up with each change of portions.
     portions: watch::Sender<u64>,
-    /// Holds the lock of the process that serves the database, until it is closed.
+    /// Holds the locks of a process that serves the database, and its bench, until it is closed.
     alone: Mutex<Option<PgConnection>>,
+    /// The chain of that bench.
+    bench: i64,
 }
 
 impl std::fmt::Debug for Server {
@@ -72,11 +74,40 @@ pub(super) async fn lock(connection: &mut AnyConnection) -> Result<()> {
     Ok(())
 }
 
+/// Take the lock of all who add events, until the transaction ends. It is the last that any
+/// transaction takes.
+pub(super) async fn lock_events(connection: &mut AnyConnection) -> Result<()> {
+    // The letters "FLIR".
+    connection.execute("SELECT pg_advisory_xact_lock(1179404626)").await?;
+    Ok(())
+}
+
+/// Take the lock of all who add to a chain of the audit trail, until the transaction ends.
+pub(super) async fn lock_chain(connection: &mut AnyConnection, chain: i64) -> Result<()> {
+    // The letters "FLIS".
+    let sql = "SELECT CAST(pg_advisory_xact_lock(1179404627, CAST($1 AS INTEGER)) AS TEXT)";
+    sqlx::query(sql).bind(chain).execute(connection).await?;
+    Ok(())
+}
+
+/// Take the lock of the process that has a bench, until the connection ends.
+///
+/// # Errors
+/// [`Error::Locked`] while another process has it.
+pub(super) async fn lock_bench(connection: &mut PgConnection, chain: i64) -> Result<()> {
+    // The server may not have noticed yet that the process before has ended.
+    connection.execute("SET lock_timeout = '2s'").await?;
+    // The letters "FLIQ".
+    let sql = "SELECT pg_advisory_lock(1179404625, CAST($1 AS INTEGER))";
+    sqlx::query(sql).bind(chain).execute(connection).await?;
+    Ok(())
+}
+
 impl Server {
     /// Follow the events of a database that is [`prepare`]d, also those that other processes write.
     pub fn new(
         options: AnyConnectOptions,
-        alone: Option<PgConnection>,
+        (alone, bench): (Option<PgConnection>, i64),
         newest: watch::Sender<i64>,
         reader: AnyPool,
     ) -> Self {
@@ -92,7 +123,7 @@ impl Server {
             }
         });
         let alone = Mutex::new(alone);
-        Self { options, following: following.abort_handle(), portions, alone }
+        Self { options, following: following.abort_handle(), portions, alone, bench }
     }
 
     /// Counts up with each change of portions.
@@ -109,20 +140,40 @@ impl Server {
         }
     }
 
-    /// Whether this process still has the database to itself. The lock is lost with its connection,
-    /// as when the server starts again, and then taken anew.
+    /// Whether this process still has its bench to itself. The lock is lost with its connection, as
+    /// when the server starts again, and then taken anew.
     ///
     /// # Errors
-    /// [`Error::Held`], [`Error::Unreachable`].
+    /// [`Error::Held`], [`Error::Locked`], [`Error::Unreachable`].
     pub async fn is_alone(&self) -> Result<()> {
         let mut alone = self.alone.lock().await;
         let Some(connection) = alone.as_mut() else { return Err(sqlx::Error::PoolClosed.into()) };
         if connection.ping().await.is_err() {
             let mut again = PgConnection::connect(self.options.database_url.as_str()).await?;
-            serve_alone(&mut again).await?;
+            serve_with_others(&mut again).await?;
+            lock_bench(&mut again, self.bench).await?;
             *alone = Some(again);
         }
         Ok(())
+    }
+
+    /// Renew the lease of a bench, given by name, owner and fence, on the connection that holds its
+    /// lock: it waits for no transaction. `false`: it has changed hands.
+    ///
+    /// # Errors
+    /// As [`Self::is_alone`].
+    pub async fn renew(
+        &self,
+        (name, owner, fence): (&str, &str, i64),
+        until: i64,
+        kind: &str,
+    ) -> Result<bool> {
+        self.is_alone().await?;
+        let mut alone = self.alone.lock().await;
+        let Some(connection) = alone.as_mut() else { return Err(sqlx::Error::PoolClosed.into()) };
+        let sql = "UPDATE bench SET lease_until = $4, kind = $5 WHERE name = $1 AND owner = $2 AND fence = $3";
+        let renewed = sqlx::query(sql).bind(name).bind(owner).bind(fence).bind(until).bind(kind);
+        Ok(renewed.execute(connection).await?.rows_affected() > 0)
     }
 
     /// Begin a transaction that writes and roll it back, on a connection of its own.
@@ -201,6 +252,26 @@ pub(super) async fn prepare(address: &AnyConnectOptions) -> Result<PgConnection>
     Ok(connection)
 }
 
+/// Check the server and bring the database to this program's schema, for one of the processes that
+/// serve it. Nobody else may serve it while its schema changes. What the connection locks lasts as
+/// long as it does.
+///
+/// # Errors
+/// As [`prepare`].
+pub(super) async fn prepare_to_serve(address: &AnyConnectOptions) -> Result<PgConnection> {
+    if !has_schema(address).await? {
+        match prepare(address).await {
+            // Another process was quicker.
+            Err(Error::Held(name)) if !has_schema(address).await? => return Err(Error::Held(name)),
+            Err(Error::Held(_)) => {}
+            prepared => prepared?.close().await?,
+        }
+    }
+    let mut connection = PgConnection::connect(address.database_url.as_str()).await?;
+    serve_with_others(&mut connection).await?;
+    Ok(connection)
+}
+
 /// Check that a database has exactly this program's schema.
 ///
 /// # Errors
@@ -233,12 +304,21 @@ pub(super) async fn has_schema(address: &AnyConnectOptions) -> Result<bool> {
     Ok(known.iter().all(|migration| applied.contains(&migration.version)))
 }
 
-/// What a process repairs when it starts (leases, interrupted doses) is sound only if it is alone.
+/// Let no other process serve the database, as while its schema changes or it is moved.
 pub(super) async fn serve_alone(connection: &mut PgConnection) -> Result<()> {
+    // The letters "FLIQ".
+    serve(connection, "SELECT pg_advisory_lock(1179404625)").await
+}
+
+/// Let no other process have the database to itself.
+async fn serve_with_others(connection: &mut PgConnection) -> Result<()> {
+    serve(connection, "SELECT pg_advisory_lock_shared(1179404625)").await
+}
+
+async fn serve(connection: &mut PgConnection, lock: &'static str) -> Result<()> {
     // The server may not have noticed yet that the process before has ended.
     connection.execute("SET lock_timeout = '2s'").await?;
-    // The letters "FLIQ".
-    let locked = connection.execute("SELECT pg_advisory_lock(1179404625)").await;
+    let locked = connection.execute(lock).await;
     match locked.map_err(Error::from) {
         Err(Error::Locked) => Err(Error::Held(name(connection).await?.into())),
         locked => locked.map(drop),
@@ -307,188 +387,4 @@ fn set_up(options: AnyPoolOptions, settings: &'static str) -> AnyPoolOptions {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::{Store, now, testing};
-    use sqlx::{AssertSqlSafe, Row};
-    use std::collections::BTreeMap;
-
-    /// A cluster, whatever the other tests run on; `None`, and why, where there is none.
-    fn cluster() -> Option<&'static testing::Cluster> {
-        testing::cluster().inspect_err(|why| println!("left out: {why}")).ok()
-    }
-
-    #[tokio::test]
-    async fn both_databases_have_the_same_tables_columns_and_indexes() {
-        let Some(cluster) = cluster() else { return };
-        let folder = tempfile::tempdir().unwrap();
-        let (ours, theirs) = (folder.path().join("sqlite"), folder.path().join("postgres"));
-        let ours = Store::open(&ours).await.unwrap();
-        let theirs = testing::open_on(&cluster.database_of(&theirs).await, &theirs).await.unwrap();
-        let columns = async |store: &Store, sql: &'static str| -> BTreeMap<String, Vec<String>> {
-            let mut found = BTreeMap::<_, Vec<_>>::new();
-            for row in sqlx::query(sql).fetch_all(&store.reader).await.unwrap() {
-                found.entry(row.get::<String, _>(0)).or_default().push(row.get::<String, _>(1));
-            }
-            found.values_mut().for_each(|columns| columns.sort());
-            found
-        };
-        let sqlite = "SELECT s.name, c.name FROM sqlite_schema s, pragma_table_info(s.name) c \
-                      WHERE s.type IN ('table', 'view') AND s.name NOT LIKE '%sqlite%' AND s.name NOT LIKE '%sqlx%'";
-        let postgres = "SELECT table_name::text, column_name::text FROM information_schema.columns \
-                        WHERE table_schema = 'public' AND table_name NOT LIKE '%sqlx%'";
-        assert_eq!(columns(&ours, sqlite).await, columns(&theirs, postgres).await);
-        let sqlite =
-            "SELECT tbl_name, name FROM sqlite_schema WHERE type = 'index' AND sql IS NOT NULL";
-        let postgres = "SELECT tablename::text, indexname::text FROM pg_indexes WHERE schemaname = 'public' \
-                        AND indexname NOT LIKE '%\\_key' AND indexname NOT LIKE '%\\_pkey'";
-        assert_eq!(columns(&ours, sqlite).await, columns(&theirs, postgres).await);
-    }
-
-    #[tokio::test]
-    async fn events_of_other_processes_are_heard_and_a_lock_is_waited_for() {
-        let Some(cluster) = cluster() else { return };
-        let folder = tempfile::tempdir().unwrap();
-        let url = cluster.database_of(folder.path()).await;
-        let store = testing::open_on(&url, folder.path()).await.unwrap();
-        let mut heard = store.watch_events();
-        let mut other = PgConnection::connect(&url).await.unwrap();
-        let before = *heard.borrow_and_update();
-        for _ in 0..2 {
-            let mut tx = other.begin_with(BEGIN).await.unwrap();
-            tx.execute("SELECT pg_advisory_xact_lock(1179404624)").await.unwrap();
-            let insert =
-                "INSERT INTO event (topic, kind, data, at) VALUES ('bench', 'held', '{}', 0)";
-            tx.execute(insert).await.unwrap();
-            assert!(
-                !store.health().await.database.ok,
-                "another process writes, and takes its time"
-            );
-            tx.commit().await.unwrap();
-            let soon = tokio::time::timeout(POLL * 5, heard.changed()).await;
-            soon.expect("heard").unwrap();
-        }
-        assert_eq!(*heard.borrow_and_update(), before + 2);
-        let elsewhere = tempfile::tempdir().unwrap();
-        let second = testing::open_on(&url, elsewhere.path()).await;
-        assert!(matches!(second, Err(Error::Held(_))), "{second:?}");
-        let mut tx = other.begin_with(BEGIN).await.unwrap();
-        tx.execute("SELECT pg_advisory_xact_lock(1179404624)").await.unwrap();
-        sqlx::query("SET lock_timeout = '50ms'").execute(store.writer().unwrap()).await.unwrap();
-        assert!(matches!(store.write().await, Err(Error::Locked)));
-        tx.rollback().await.unwrap();
-        let mut tx = store.write().await.unwrap();
-        tx.emit("bench", "held", &serde_json::json!({})).await.unwrap();
-        tx.commit().await.unwrap();
-        assert!(*heard.borrow_and_update() > before + 2);
-        store.close().await;
-        let error = store.write().await.unwrap_err();
-        assert!(error.is_closed(), "{error}");
-    }
-
-    #[tokio::test]
-    async fn a_record_survives_a_writer_that_is_cut_off_and_a_newer_database_is_refused() {
-        let Some(cluster) = cluster() else { return };
-        let folder = tempfile::tempdir().unwrap();
-        let url = cluster.database_of(folder.path()).await;
-        let store = testing::open_on(&url, folder.path()).await.unwrap();
-        let mut other = PgConnection::connect(&url).await.unwrap();
-        let cut = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
-                   WHERE datname = current_database() AND pid <> pg_backend_pid()";
-        let mut tx = store.write().await.unwrap();
-        tx.audit_person(None, "looked", now()).await.unwrap();
-        other.execute(cut).await.unwrap();
-        let refused = tx.commit().await.unwrap_err();
-        assert!(matches!(refused, Error::Unreachable(_)), "{refused:?}");
-        let mut tx = store.write().await.unwrap();
-        tx.audit_person(None, "looked again", now()).await.unwrap();
-        tx.commit().await.unwrap();
-        let found = store.verify_audit(None).await.unwrap();
-        assert_eq!((found.records, found.broken), (3, None));
-        store.close().await;
-        drop(store);
-        let newer = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
-                     VALUES (99, 'later', true, ''::bytea, 0)";
-        other.execute(newer).await.unwrap();
-        let refused = testing::open_on(&url, folder.path()).await.err();
-        assert!(matches!(refused, Some(Error::Newer(99))), "{refused:?}");
-        let refused = testing::open_on("mysql://root@localhost/x", folder.path()).await.err();
-        assert!(matches!(refused, Some(Error::Server(_))), "{refused:?}");
-    }
-
-    #[tokio::test]
-    async fn a_committed_transaction_is_on_the_disk() {
-        let Some(cluster) = cluster() else { return };
-        let folder = tempfile::tempdir().unwrap();
-        let url = cluster.database_of(folder.path()).await;
-        let mut other = PgConnection::connect(&url).await.unwrap();
-        let name: String = sqlx::query_scalar("SELECT current_database()::text")
-            .fetch_one(&mut other)
-            .await
-            .unwrap();
-        let careless = format!("ALTER DATABASE {name} SET synchronous_commit = off");
-        other.execute(AssertSqlSafe(careless)).await.unwrap();
-        // A service opens it on whatever thread is free.
-        let path = folder.path().to_owned();
-        let opened = tokio::spawn(async move { testing::open_on(&url, &path).await });
-        let store = opened.await.unwrap().unwrap();
-        let set: String = sqlx::query_scalar("SELECT current_setting('synchronous_commit')")
-            .fetch_one(store.writer().unwrap())
-            .await
-            .unwrap();
-        assert_eq!(set, "on");
-    }
-
-    #[tokio::test(flavor = "multi_thread")]
-    async fn what_was_committed_is_there_after_a_crash_of_the_server_and_work_goes_on() {
-        if cluster().is_none() {
-            return;
-        }
-        let cluster = std::sync::Arc::new(testing::Cluster::start(true).unwrap());
-        let folder = tempfile::tempdir().unwrap();
-        let url = cluster.database_of(folder.path()).await;
-        let store = testing::open_on(&url, folder.path()).await.unwrap();
-        let mut heard = store.watch_events();
-        let record = async || {
-            let mut tx = store.write().await?;
-            tx.audit_person(None, "looked", now()).await?;
-            tx.emit("bench", "held", &serde_json::json!({})).await?;
-            tx.commit().await
-        };
-        let (mut committed, mut failed) = (0, 0);
-        for _ in 0..2 {
-            let crashing = cluster.clone();
-            let crash = tokio::task::spawn_blocking(move || crashing.crash());
-            let mut after = 0;
-            while after < 10 {
-                after += i32::from(crash.is_finished());
-                match record().await {
-                    Ok(()) => committed += 1,
-                    Err(Error::Unreachable(_) | Error::Busy) => {
-                        failed += 1;
-                        tokio::time::sleep(POLL / 20).await;
-                    }
-                    Err(other) => panic!("{other:?}"),
-                }
-            }
-            crash.await.unwrap();
-        }
-        assert!(committed >= 20, "{committed} were committed, {failed} failed");
-        // Of one that failed nobody knows, but no other is missing.
-        let found = store.verify_audit(None).await.unwrap();
-        let expected = committed + 2..=committed + failed + 2;
-        assert!(expected.contains(&found.records), "{} of {expected:?}", found.records);
-        assert_eq!(found.broken, None);
-        let health = store.health().await;
-        assert!(health.lock.ok && health.database.ok, "{health:?}");
-        let elsewhere = tempfile::tempdir().unwrap();
-        let second = testing::open_on(&url, elsewhere.path()).await;
-        assert!(matches!(second, Err(Error::Held(_))), "{second:?}");
-        // And events of others are heard again.
-        heard.borrow_and_update();
-        let mut other = PgConnection::connect(&url).await.unwrap();
-        let insert = "INSERT INTO event (topic, kind, data, at) VALUES ('bench', 'held', '{}', 0)";
-        other.execute(insert).await.unwrap();
-        tokio::time::timeout(POLL * 5, heard.changed()).await.expect("heard").unwrap();
-    }
-}
+mod tests;

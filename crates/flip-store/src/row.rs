@@ -12,6 +12,8 @@ use sqlx::{Any, Row, Type};
 pub(super) trait Columns {
     /// A column of a plain type.
     fn plain<'r, T: sqlx::Decode<'r, Any> + Type<Any>>(&'r self, column: &str) -> Result<T>;
+    /// A column of a plain type; `None` too where an older schema lacks it.
+    fn maybe_plain<'r, T: sqlx::Decode<'r, Any> + Type<Any>>(&'r self, column: &str) -> Option<T>;
     /// Yes or no.
     fn flag(&self, column: &str) -> Result<bool>;
     /// A count.
@@ -40,6 +42,10 @@ pub(super) trait Columns {
 impl Columns for AnyRow {
     fn plain<'r, T: sqlx::Decode<'r, Any> + Type<Any>>(&'r self, column: &str) -> Result<T> {
         Ok(self.try_get(column)?)
+    }
+
+    fn maybe_plain<'r, T: sqlx::Decode<'r, Any> + Type<Any>>(&'r self, column: &str) -> Option<T> {
+        self.try_get(column).ok()
     }
 
     fn flag(&self, column: &str) -> Result<bool> {

@@ -6,6 +6,7 @@
 //! mentions is not compared.
 
 use super::audit::Written;
+use super::benches::DEFAULT_BENCH;
 use super::row::Columns;
 use super::sql::Flag;
 use super::{Result, tokens};
@@ -138,7 +139,7 @@ impl Said {
         match record.kind.as_str() {
             "rows" => self.hear_rows(record.seq, &body),
             "check" => {
-                let id = check_id(&body["check"], record.at);
+                let id = at_bench(check_id(&body["check"], record.at), body["bench_name"].as_str());
                 self.say(
                     RowOf::Check,
                     id,
@@ -146,8 +147,8 @@ impl Said {
                     &json!({ "check": body["check"], "found": body["found"] }),
                 );
             }
-            "latch" => self.say_open(RowOf::Latch, record.seq, &body, true),
-            "hold" => self.say_open(RowOf::Hold, record.seq, &body, true),
+            "latch" => self.say_open(RowOf::Latch, record.seq, &body, ""),
+            "hold" => self.say_open(RowOf::Hold, record.seq, &body, ""),
             "stock" => self.say(RowOf::Stock, TAKEN.to_owned(), record.seq, &stock_taken(&body)),
             _ => self.hear_deed(record.seq, &body),
         }
@@ -186,10 +187,8 @@ impl Said {
                 let chosen = json!({ "version": body["simulator"]["version"] });
                 self.say(RowOf::Simulator, CHOSEN.to_owned(), seq, &chosen);
             }
-            "clear" if body["latch"].is_object() => {
-                self.say_open(RowOf::Latch, seq, &body["latch"], false)
-            }
-            "resume" => self.say_open(RowOf::Hold, seq, &body["held"], false),
+            "clear" if body["latch"].is_object() => self.say_open(RowOf::Latch, seq, body, "latch"),
+            "resume" => self.say_open(RowOf::Hold, seq, body, "held"),
             _ => {}
         }
     }
@@ -216,11 +215,16 @@ impl Said {
         said.remove("last_used_at");
     }
 
-    fn say_open(&mut self, what: RowOf, seq: i64, row: &Value, is_open: bool) {
-        let mut row = row.clone();
+    fn say_open(&mut self, what: RowOf, seq: i64, body: &Value, field: &str) {
+        let name = body["bench_name"].as_str();
+        // Its record is the row itself, that of its end has it in a field.
+        let (mut row, is_open) = match field {
+            "" => (body.clone(), true),
+            field => (body[field].clone(), false),
+        };
         row["open"] = is_open.into();
         let id = row["at"].as_str().unwrap_or_default().to_owned();
-        self.say(what, id, seq, &row);
+        self.say(what, at_bench(id, name), seq, &row);
     }
 
     /// The fields of a row that no record has mentioned, if any.
@@ -295,15 +299,27 @@ pub(super) async fn every_row(tx: &mut Transaction<'_, Any>) -> Result<Vec<Found
 }
 
 fn id_of(what: RowOf, row: &AnyRow) -> Result<String> {
+    let name: Option<String> = row.maybe_plain("bench_name");
+    let of_bench = |id| at_bench(id, name.as_deref());
     match what {
-        RowOf::Check => Ok(check_id(&row.plain::<String>("kind")?.into(), row.plain("at")?)),
-        RowOf::Latch | RowOf::Hold => Ok(row.time("at")?.to_string()),
+        RowOf::Check => {
+            Ok(of_bench(check_id(&row.plain::<String>("kind")?.into(), row.plain("at")?)))
+        }
+        RowOf::Latch | RowOf::Hold => Ok(of_bench(row.time("at")?.to_string())),
         RowOf::Simulator => Ok(CHOSEN.to_owned()),
         RowOf::Stock => Ok(TAKEN.to_owned()),
         RowOf::Label => {
             Ok(format!("{} {}", row.plain::<String>("kind")?, row.plain::<String>("id")?))
         }
         _ => row.plain("id"),
+    }
+}
+
+/// The id of a row of a bench: two benches may be stopped in the same millisecond.
+fn at_bench(id: String, name: Option<&str>) -> String {
+    match name {
+        Some(name) if name != DEFAULT_BENCH => format!("{id} at {name}"),
+        _ => id,
     }
 }
 

@@ -5,7 +5,8 @@
 
 use super::page::Window;
 use super::row::{Columns, json, word};
-use super::weighings::{WeighingRow, weighing_row};
+use super::weighing_rows::weighing_row;
+use super::weighings::WeighingRow;
 use super::{Result, Store, Tx, new_id};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::shake::Spoonful;
@@ -86,7 +87,7 @@ impl Store {
     ) -> Result<Vec<String>> {
         let sql = concat!(
             "SELECT trace FROM weighing WHERE powder = $1 AND bench = $2 AND outcome IN ('within', 'under', 'over', 'blocked', 'probed') \
-             AND trace IS NOT NULL AND ($4 IS NULL OR json_extract(asked, '$.lot') = $4)",
+             AND trace IS NOT NULL AND ($4 IS NULL OR json_extract(asked, '$.lot') = $4) AND bench_name = $5",
             weighing_counts!(),
             " ORDER BY seq DESC LIMIT $3"
         );
@@ -94,7 +95,8 @@ impl Store {
             .bind(powder)
             .bind(word(&bench))
             .bind(i64::from(count))
-            .bind(lot);
+            .bind(lot)
+            .bind(self.bench_name());
         Ok(query.fetch_all(&self.reader).await?)
     }
 

@@ -8,7 +8,7 @@ use super::page::LONG_BATCH;
 use super::row::Columns;
 use super::said::{Row, Said, every_row};
 use super::sql::{Flag, has_table};
-use super::weighings::weighing_row;
+use super::weighing_rows::weighing_row;
 use super::{Result, Store, Tx, now};
 use flip_core::domain::timestamp::Timestamp;
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,7 @@
 //! Where everything is stored.
 
 use super::artifacts::{Artifacts, Patience};
+use super::benches::DEFAULT_BENCH;
 use super::{Result, open, postgres};
 use sqlx::any::AnyConnectOptions;
 use std::fmt;
@@ -14,12 +15,14 @@ pub struct Storage {
     server: Option<AnyConnectOptions>,
     /// `None`: in the folder.
     artifacts: Option<Artifacts>,
+    /// The bench that a process serves there; `None`: the one that needs no name.
+    bench: Option<String>,
 }
 
 impl Storage {
     /// All in one folder.
     pub fn in_folder(folder: impl Into<PathBuf>) -> Self {
-        Self { folder: folder.into(), server: None, artifacts: None }
+        Self { folder: folder.into(), server: None, artifacts: None, bench: None }
     }
 
     /// A database at an address like `postgres://user@host/flip`; files in the folder.
@@ -28,7 +31,7 @@ impl Storage {
     /// [`Error::Server`](super::Error::Server) if this is no such address.
     pub fn on_server(database_url: &str, folder: impl Into<PathBuf>) -> Result<Self> {
         let server = Some(postgres::address(database_url)?);
-        Ok(Self { folder: folder.into(), server, artifacts: None })
+        Ok(Self { folder: folder.into(), server, artifacts: None, bench: None })
     }
 
     /// As it is, with artifacts in another folder (a path, or `file:///srv/flip`), or in a bucket
@@ -65,6 +68,16 @@ impl Storage {
     /// As [`Self::artifacts`], while the data folder is at another path.
     pub(super) fn artifacts_beside(&self, folder: &Path) -> Artifacts {
         self.artifacts.clone().unwrap_or_else(|| open::artifacts(folder))
+    }
+
+    /// The same, served with the bench of this name.
+    pub fn with_bench(self, name: impl Into<String>) -> Self {
+        Self { bench: Some(name.into()), ..self }
+    }
+
+    /// The name of the bench that a process serves there.
+    pub fn bench(&self) -> &str {
+        self.bench.as_deref().unwrap_or(DEFAULT_BENCH)
     }
 
     /// The folder for files.

@@ -7,11 +7,14 @@
 //! rows that predate the record are in the record of the stock-taking (`stock.rs`).
 
 use super::archive::{self, Archives, Away, LostArchive, Named, Order, aways, hash_at, why_lost};
-use super::audit::{AuditBreak, AuditVerification, OutcomeRecord, Written, beginning};
+use super::audit::{
+    AuditBreak, AuditChain, AuditVerification, OutcomeRecord, Written, beginning, chain_start,
+};
 use super::page::LONG_BATCH;
 use super::said::{ChangedOther, Said};
 use super::stock::{Stock, found_weighing, rows_of, stock};
-use super::weighings::{Weighing, WeighingRow, weighing_row};
+use super::weighing_rows::weighing_row;
+use super::weighings::{Weighing, WeighingRow};
 use super::{Error, Result, Store};
 use serde::{Deserialize, Serialize};
 use sqlx::{Any, Transaction};
@@ -36,7 +39,11 @@ struct Walk<'a> {
     files: &'a Archives,
     wanted: Option<&'a str>,
     records: i64,
+    /// Position and hash of the last record seen.
+    last: i64,
     last_hash: String,
+    /// The last records of the chains before the one that is being verified.
+    ends: Vec<AuditChain>,
     holds: bool,
     /// Weighings whose outcome is not recorded yet: position and content of their intent.
     open: HashMap<String, (i64, Intent)>,
@@ -119,10 +126,16 @@ pub(super) async fn verified(
     if broken.is_none() {
         broken = walk.go_through_rows(tx).await?;
     }
+    walk.end_chain();
+    let mut chains = std::mem::take(&mut walk.ends);
+    // The first may be empty.
+    let first = chains.first().is_some_and(|it| chain_start(it.last_seq) == 0);
+    let last_hash = if first { chains.remove(0).last_hash } else { beginning() };
     Ok(AuditVerification {
         broken: broken.or_else(|| walk.first_flaw()),
         records: walk.records,
-        last_hash: walk.last_hash,
+        last_hash,
+        chains,
         holds_hash: wanted.map(|_| walk.holds),
         changed: walk.changed,
         others: walk.others,
@@ -162,7 +175,9 @@ impl<'a> Walk<'a> {
             files,
             wanted,
             records: 0,
+            last: 0,
             last_hash: beginning(),
+            ends: Vec::new(),
             holds: false,
             open: HashMap::new(),
             known: Default::default(),
@@ -184,14 +199,20 @@ impl<'a> Walk<'a> {
         loop {
             let sql = "SELECT * FROM audit WHERE seq > $1 ORDER BY seq LIMIT $2";
             let rows =
-                sqlx::query(sql).bind(self.records).bind(LONG_BATCH).fetch_all(&mut **tx).await?;
+                sqlx::query(sql).bind(self.last).bind(LONG_BATCH).fetch_all(&mut **tx).await?;
             if rows.is_empty() {
                 return Ok(None);
             }
             for row in &rows {
                 let record = Written::of(row)?;
+                // A position is from 1 in its chain.
+                let start = chain_start(record.seq - 1);
+                if start > self.last {
+                    self.end_chain();
+                    (self.last, self.last_hash) = (start, beginning());
+                }
                 self.go_through_archived(tx, record.seq).await?;
-                if let Some(why) = record.flaw(self.records + 1, &self.last_hash) {
+                if let Some(why) = record.flaw(self.last + 1, &self.last_hash) {
                     return Ok(Some(AuditBreak { seq: record.seq, why }));
                 }
                 self.take(&record);
@@ -206,14 +227,12 @@ impl<'a> Walk<'a> {
         tx: &mut Transaction<'_, Any>,
         before: i64,
     ) -> Result<()> {
-        while before > self.records + 1 {
-            let next = aways(tx, None, (self.records, self.records + 2), Order::Oldest, 1)
+        while before > self.last + 1 {
+            let next = aways(tx, None, (self.last, self.last + 2), Order::Oldest, 1)
                 .await?
                 .into_iter()
                 .next();
-            match next
-                .filter(|away| away.first == self.records + 1 && away.before == self.last_hash)
-            {
+            match next.filter(|away| away.first == self.last + 1 && away.before == self.last_hash) {
                 Some(away) => self.go_through_member(&away)?,
                 None => return Ok(()),
             }
@@ -227,7 +246,8 @@ impl<'a> Walk<'a> {
             Ok(records) => records.iter().for_each(|record| self.take(record)),
             Err(error) if error.is_lost_part() => {
                 self.lose(&away.file, (away.first, away.last), &error);
-                (self.records, self.last_hash) = (away.last, away.hash.clone());
+                self.records += away.last - away.first + 1;
+                (self.last, self.last_hash) = (away.last, away.hash.clone());
                 self.holds |= self.wanted == Some(away.hash.as_str());
             }
             Err(error) => return Err(error),
@@ -235,8 +255,17 @@ impl<'a> Walk<'a> {
         Ok(())
     }
 
+    /// Remember where the chain ended that was gone through.
+    fn end_chain(&mut self) {
+        if self.last_hash != beginning() {
+            let (last_seq, last_hash) = (self.last, self.last_hash.clone());
+            self.ends.push(AuditChain { last_seq, last_hash });
+        }
+    }
+
     fn take(&mut self, record: &Written) {
-        (self.records, self.last_hash) = (record.seq, record.hash.clone());
+        self.records += 1;
+        (self.last, self.last_hash) = (record.seq, record.hash.clone());
         self.holds |= self.wanted == Some(record.hash.as_str());
         self.since_ms = self.since_ms.min(record.at);
     }

@@ -1,8 +1,10 @@
 //! Weighings: the intent is committed before any motion, the outcome after it; nothing is ever
 //! poured twice.
 
+use super::benches::DEFAULT_BENCH;
 use super::row::{Columns, json, word};
 use super::sql::{Flag, Number};
+use super::weighing_rows::{weighing, weighing_row};
 use super::{Result, Store, Tx};
 use crate::audit::{About, OutcomeRecord};
 use flip_core::domain::apparatus::Apparatus;
@@ -50,9 +52,12 @@ pub struct Weighing {
     /// Whether someone has to confirm that its vial is in; absent for `confirm`.
     #[serde(default, skip_serializing_if = "VialCheck::is_confirm")]
     pub vial_check: VialCheck,
-    /// The bench that was armed for it.
+    /// The kind of bench that was armed for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchKind>,
+    /// The bench that carries it out; absent for the one named `bench`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bench_name: Option<String>,
     /// Its state.
     pub state: WeighingState,
     /// How it ended.
@@ -81,6 +86,13 @@ pub struct Weighing {
     pub started_at: Option<Timestamp>,
     /// When it ended.
     pub finished_at: Option<Timestamp>,
+}
+
+impl Weighing {
+    /// The name of the bench that carries it out.
+    pub fn at_bench(&self) -> &str {
+        self.bench_name.as_deref().unwrap_or(DEFAULT_BENCH)
+    }
 }
 
 /// A weighing waiting for the bench.
@@ -233,14 +245,15 @@ impl Store {
 
     /// The next weighing in turn.
     pub async fn next_weighing(&self) -> Result<Option<Weighing>> {
-        let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') ORDER BY seq LIMIT 1";
-        sqlx::query(sql).fetch_optional(&self.reader).await?.as_ref().map(weighing).transpose()
+        let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') AND bench_name = $1 ORDER BY seq LIMIT 1";
+        let row = sqlx::query(sql).bind(self.bench_name());
+        row.fetch_optional(&self.reader).await?.as_ref().map(weighing).transpose()
     }
 
     /// Weighings waiting for the bench, in order.
     pub async fn waiting_weighings(&self) -> Result<Vec<Waiting>> {
-        let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') ORDER BY seq";
-        let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
+        let sql = "SELECT * FROM weighing WHERE state IN ('planned', 'awaiting_vial') AND bench_name = $1 ORDER BY seq";
+        let rows = sqlx::query(sql).bind(self.bench_name()).fetch_all(&self.reader).await?;
         let waiting = |row: &AnyRow| {
             let Weighing { id, powder, target_mg, asked, state, .. } = weighing(row)?;
             Ok(Waiting { id, powder, target_mg, vial: asked.vial, state })
@@ -250,8 +263,8 @@ impl Store {
 
     /// Weighings that were moving when the process ended: the contents of their vials are unknown.
     pub async fn interrupted_weighings(&self) -> Result<Vec<(String, BenchKind)>> {
-        let sql = "SELECT id, coalesce(bench, 'simulated') AS bench FROM weighing WHERE state IN ('armed', 'dosing', 'settling')";
-        let rows = sqlx::query(sql).fetch_all(&self.reader).await?;
+        let sql = "SELECT id, coalesce(bench, 'simulated') AS bench FROM weighing WHERE state IN ('armed', 'dosing', 'settling') AND bench_name = $1";
+        let rows = sqlx::query(sql).bind(self.bench_name()).fetch_all(&self.reader).await?;
         rows.iter().map(|row| Ok((row.plain("id")?, row.word("weighing", "bench")?))).collect()
     }
 }
@@ -266,8 +279,9 @@ impl Tx {
 
     /// Number of weighings waiting for the bench.
     pub async fn planned_weighings(&mut self) -> Result<i64> {
-        let sql = "SELECT count(*) FROM weighing WHERE state IN ('planned', 'awaiting_vial')";
-        Ok(sqlx::query_scalar(sql).fetch_one(&mut *self.inner).await?)
+        let sql = "SELECT count(*) FROM weighing WHERE state IN ('planned', 'awaiting_vial') AND bench_name = $1";
+        let count = sqlx::query_scalar(sql).bind(&*self.store.bench.name);
+        Ok(count.fetch_one(&mut *self.inner).await?)
     }
 
     /// Whether a weighing belongs to a list of this name.
@@ -277,11 +291,11 @@ impl Tx {
         Ok(is)
     }
 
-    /// Store an intent.
+    /// Store an intent, for the bench that the store speaks for.
     pub async fn insert_weighing(&mut self, intent: &Intent, now: Timestamp) -> Result<Weighing> {
         let sql = "INSERT INTO weighing (id, idempotency_key, request_sha256, powder, target_mg, tolerance_lower_mg, \
-                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch, asked, vial_check, labels) \
-                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, 'planned', $11, $12, $13, $14, $15, $16) RETURNING *";
+                   tolerance_upper_mg, policy, parameter_set, seed, state, created_at, under, patch, asked, vial_check, labels, bench_name) \
+                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, 'planned', $11, $12, $13, $14, $15, $16, $17) RETURNING *";
         let request = &intent.request;
         let row = sqlx::query(sql)
             .bind(&intent.id)
@@ -300,12 +314,13 @@ impl Tx {
             .bind(Some(&request.asked).filter(|asked| !asked.is_nothing()).map(json).transpose()?)
             .bind(word(&request.vial_check))
             .bind(Some(&request.labels).filter(|labels| !labels.is_empty()).map(json).transpose()?)
+            .bind(&*self.store.bench.name)
             .fetch_one(&mut *self.inner)
             .await?;
         let weighing = self.announce_weighing(&row).await?;
         let key = RetryKey::of(&intent.idempotency_key, &intent.request_sha256);
         let said = IntentRecord { weighing: &weighing, key };
-        self.audit(About { weighing: Some(&weighing.id), kind: "intent" }, &said, now).await?;
+        self.audit_weighing(&weighing, "intent", &said, now).await?;
         Ok(weighing)
     }
 
@@ -327,7 +342,7 @@ impl Tx {
             .await?;
         let Some(row) = row else { return Ok(None) };
         let weighing = self.announce_weighing(&row).await?;
-        self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::Armed, now).await?;
+        self.audit_weighing(&weighing, "state", &WeighingState::Armed, now).await?;
         Ok(Some(weighing))
     }
 
@@ -338,9 +353,8 @@ impl Tx {
         let Some(row) = sqlx::query(sql).bind(id).fetch_optional(&mut *self.inner).await? else {
             return Ok(false);
         };
-        self.announce_weighing(&row).await?;
-        self.audit(About { weighing: Some(id), kind: "state" }, &WeighingState::AwaitingVial, now)
-            .await?;
+        let weighing = self.announce_weighing(&row).await?;
+        self.audit_weighing(&weighing, "state", &WeighingState::AwaitingVial, now).await?;
         Ok(true)
     }
 
@@ -355,11 +369,11 @@ impl Tx {
     /// Statements about vials hold until the process ends: weighings waiting for a vial wait for
     /// their turn again.
     pub async fn forget_vials(&mut self, now: Timestamp) -> Result<()> {
-        let sql = "UPDATE weighing SET state = 'planned' WHERE state = 'awaiting_vial' RETURNING *";
-        for row in sqlx::query(sql).fetch_all(&mut *self.inner).await? {
-            let id = self.announce_weighing(&row).await?.id;
-            self.audit(About { weighing: Some(&id), kind: "state" }, &WeighingState::Planned, now)
-                .await?;
+        let sql = "UPDATE weighing SET state = 'planned' WHERE state = 'awaiting_vial' AND bench_name = $1 RETURNING *";
+        let rows = sqlx::query(sql).bind(&*self.store.bench.name);
+        for row in rows.fetch_all(&mut *self.inner).await? {
+            let weighing = self.announce_weighing(&row).await?;
+            self.audit_weighing(&weighing, "state", &WeighingState::Planned, now).await?;
         }
         Ok(())
     }
@@ -375,8 +389,8 @@ impl Tx {
         let row =
             sqlx::query(sql).bind(id).bind(word(&state)).fetch_optional(&mut *self.inner).await?;
         let Some(row) = row else { return Ok(()) };
-        self.announce_weighing(&row).await?;
-        self.audit(About { weighing: Some(id), kind: "state" }, &state, now).await
+        let weighing = self.announce_weighing(&row).await?;
+        self.audit_weighing(&weighing, "state", &state, now).await
     }
 
     /// Store the action and reading of a step.
@@ -426,8 +440,21 @@ impl Tx {
         let weighing = self.announce_weighing(&row).await?;
         let said =
             OutcomeRecord { weighing, trace: ending.trace.clone(), key: RetryKey::default() };
-        self.audit(About { weighing: Some(id), kind: "outcome" }, &said, now).await?;
+        self.audit_weighing(&said.weighing, "outcome", &said, now).await?;
         Ok(Some(said.weighing))
+    }
+
+    /// Append a record of a weighing to the chain of its bench.
+    async fn audit_weighing(
+        &mut self,
+        weighing: &Weighing,
+        kind: &str,
+        said: &impl Serialize,
+        now: Timestamp,
+    ) -> Result<()> {
+        let chain = self.chain_of(weighing.at_bench()).await?;
+        let about = About { weighing: Some(&weighing.id), kind };
+        self.audit_in(chain, about, said, now).await.map(drop)
     }
 
     async fn announce_weighing(&mut self, row: &AnyRow) -> Result<Weighing> {
@@ -435,50 +462,4 @@ impl Tx {
         self.emit(&weighing_topic(&weighing.id), "state", &weighing).await?;
         Ok(weighing)
     }
-}
-
-pub(super) fn weighing_row(row: &AnyRow) -> Result<WeighingRow> {
-    let weighing = weighing(row)?;
-    let patch: Option<serde_json::Value> = row.maybe_json("patch")?;
-    Ok(WeighingRow {
-        patch_is_ours: patch
-            == (!weighing.patch.is_none()).then(|| serde_json::json!(weighing.patch)),
-        weighing,
-        idempotency_key: row.plain("idempotency_key")?,
-        request_sha256: row.plain("request_sha256")?,
-        trace: row.plain("trace")?,
-    })
-}
-
-pub(super) fn weighing(row: &AnyRow) -> Result<Weighing> {
-    let shakes: Option<i64> = row.plain("shakes")?;
-    Ok(Weighing {
-        id: row.plain("id")?,
-        powder: row.plain("powder")?,
-        target_mg: row.plain("target_mg")?,
-        tolerance_lower_mg: row.plain("tolerance_lower_mg")?,
-        tolerance_upper_mg: row.plain("tolerance_upper_mg")?,
-        policy: row.plain("policy")?,
-        parameter_set: row.plain("parameter_set")?,
-        seed: row.plain::<i64>("seed")?.cast_unsigned(),
-        under: row.maybe_json("under")?,
-        patch: row.maybe_json("patch")?.unwrap_or_default(),
-        asked: row.maybe_json("asked")?.unwrap_or_default(),
-        labels: row.maybe_json("labels")?.unwrap_or_default(),
-        vial_check: row.maybe_word("weighing", "vial_check")?.unwrap_or_default(),
-        bench: row.maybe_word("weighing", "bench")?,
-        state: row.word("weighing", "state")?,
-        outcome: row.maybe_word("weighing", "outcome")?,
-        dispensed_mg: row.plain("dispensed_mg")?,
-        reading_mg: row.plain("reading_mg")?,
-        error_mg: row.plain("error_mg")?,
-        shakes: shakes.and_then(|n| u32::try_from(n).ok()),
-        seconds: row.plain("seconds")?,
-        measured: row.maybe_json("measured")?,
-        apparatus: row.maybe_json("apparatus")?,
-        error: row.plain("error")?,
-        created_at: row.time("created_at")?,
-        started_at: row.maybe_time("started_at")?,
-        finished_at: row.maybe_time("finished_at")?,
-    })
 }

@@ -1,10 +1,10 @@
 //! `flip.v1.Bench`.
 
-use super::convert::{all, page};
+use super::convert::{all, at, bench_kind, page};
 use super::proto::*;
 use super::{Service, clear, read, write};
 use crate::app::{
-    self, AuditAsked, AuditWanted, BalanceRequest, ClearRequest, NewChecklist,
+    self, AuditAsked, AuditWanted, BalanceRequest, ClearRequest, LoadRequest, NewChecklist,
     RepeatabilityRequest, ResumeRequest,
 };
 use tonic::{Request, Response, Status};
@@ -51,6 +51,60 @@ impl bench_server::Bench for Service {
         let cleared =
             self.app.clear_bench(ClearRequest { by, note, looked, vial_ready, resume }).await?;
         Ok(Response::new(cleared.into()))
+    }
+
+    async fn list_benches(
+        &self,
+        request: Request<ListBenchesRequest>,
+    ) -> Result<Response<ListBenchesResponse>, Status> {
+        read(request)?;
+        Ok(Response::new(ListBenchesResponse { items: all(self.app.benches().await?) }))
+    }
+
+    async fn get_named_bench(
+        &self,
+        request: Request<GetNamedBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
+        let name = read(request)?.name;
+        Ok(Response::new(self.app.bench_named(&name).await?.into()))
+    }
+
+    async fn stop_named_bench(
+        &self,
+        request: Request<StopNamedBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
+        let name = write(request)?.name;
+        Ok(Response::new(self.app.stop_bench_named(&name).await?.into()))
+    }
+
+    async fn resume_named_bench(
+        &self,
+        request: Request<ResumeNamedBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
+        let ResumeNamedBenchRequest { name, request } = write(request)?;
+        let ResumeBenchRequest { by, note } = request.unwrap_or_default();
+        let resumed = self.app.resume_bench_named(&name, ResumeRequest { by, note }).await?;
+        Ok(Response::new(resumed.into()))
+    }
+
+    async fn clear_named_bench(
+        &self,
+        request: Request<ClearNamedBenchRequest>,
+    ) -> Result<Response<BenchStatus>, Status> {
+        let ClearNamedBenchRequest { name, request } = clear(request)?;
+        let ClearBenchRequest { by, note, looked, vial_ready, resume } =
+            request.unwrap_or_default();
+        let request = ClearRequest { by, note, looked, vial_ready, resume };
+        Ok(Response::new(self.app.clear_bench_named(&name, request).await?.into()))
+    }
+
+    async fn load_bench(
+        &self,
+        request: Request<LoadBenchRequest>,
+    ) -> Result<Response<ListedBench>, Status> {
+        let LoadBenchRequest { name, powder, lot } = write(request)?;
+        let loaded = self.app.load_bench(&name, LoadRequest { powder, lot }).await?;
+        Ok(Response::new(loaded.into()))
     }
 
     async fn resume_bench(
@@ -133,5 +187,32 @@ impl bench_server::Bench for Service {
     ) -> Result<Response<AuditVerification>, Status> {
         let asked = read(request)?;
         Ok(Response::new(self.app.verify_audit(asked.hash.as_deref()).await?.into()))
+    }
+}
+
+impl From<app::BenchRow> for ListedBench {
+    fn from(bench: app::BenchRow) -> Self {
+        let holds =
+            bench.holds.map(|it| LoadedPowder { powder: it.powder, lot: it.lot, at: at(it.at) });
+        Self {
+            name: bench.name,
+            kind: bench.kind.map(bench_kind),
+            owner: bench.owner,
+            machine: bench.machine,
+            since: bench.since.and_then(at),
+            heard_at: bench.heard_at.and_then(at),
+            served: bench.served,
+            latch: bench.latch,
+            held: bench.held,
+            moving: bench.moving,
+            waiting: bench.waiting,
+            holds,
+        }
+    }
+}
+
+impl From<flip_store::audit::AuditChain> for AuditChain {
+    fn from(chain: flip_store::audit::AuditChain) -> Self {
+        Self { last_seq: chain.last_seq, last_hash: chain.last_hash }
     }
 }

@@ -233,7 +233,7 @@ same_fields! {
     }
     w: app::Weighing => Weighing {
         id powder target_mg tolerance_lower_mg tolerance_upper_mg policy parameter_set seed
-        dispensed_mg reading_mg error_mg shakes seconds error
+        dispensed_mg reading_mg error_mg shakes seconds error bench_name
     } {
         label: None,
         bench: w.bench.map(bench_kind),
@@ -313,6 +313,7 @@ same_fields! {
         changed: all(v.changed),
         others: all(v.others),
         archives: all(v.archives),
+        chains: all(v.chains),
     }
     c: app::ChangedRow => ChangedRow { weighing seq why } {}
     c: app::ChangedOther => ChangedOther { id seq why } { what: c.what.name().to_owned(), }

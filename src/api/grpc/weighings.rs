@@ -156,6 +156,7 @@ fn dose(asked: StartWeighingRequest) -> Result<(WeighingRequest, String), Proble
         conditions: conditions(asked.conditions),
         vial_check,
         reservation: asked.reservation,
+        bench_name: asked.bench_name,
         labels: labels(asked.labels),
         asked: asked.asked.map(purpose).unwrap_or_default(),
     };

@@ -80,6 +80,7 @@ impl Dose {
             },
             vial_check: if self.vial_in_place { VialCheck::Skip } else { VialCheck::Confirm },
             reservation: self.reservation,
+            bench_name: None,
             labels: app::Labels::default(),
         }
     }

@@ -3,6 +3,7 @@
 
 mod audit;
 mod bench;
+mod benches;
 mod calibrations;
 mod characterisations;
 mod corrections;
@@ -122,6 +123,12 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(bench::tare_balance))
         .routes(routes!(bench::zero_balance))
         .routes(routes!(bench::get_checklist, bench::change_checklist))
+        .routes(routes!(benches::list_benches))
+        .routes(routes!(benches::get_named_bench))
+        .routes(routes!(benches::stop_named_bench))
+        .routes(routes!(benches::resume_named_bench))
+        .routes(routes!(benches::clear_named_bench))
+        .routes(routes!(benches::load_bench))
         .routes(routes!(audit::list_audit))
         .routes(routes!(audit::verify_audit))
         .routes(routes!(audit::export_audit))

@@ -179,6 +179,7 @@ fn dose(
         unit: "mg".to_owned(),
     };
     let request = WeighingRequest {
+        bench_name: None,
         powder: DOSE.text("Powder", asked.powder)?,
         target: mg(DOSE.real("TargetMass", asked.target_mass)?),
         tolerance,

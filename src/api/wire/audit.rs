@@ -132,7 +132,8 @@ impl Answer for flip_store::audit_search::AuditFound {
 pub struct AuditVerification {
     /// Records checked.
     pub records: i64,
-    /// Hash of the last record; 64 zeros if there is none.
+    /// Hash of the last record; 64 zeros if there is none. Of the first chain, if there are several
+    /// benches.
     pub last_hash: String,
     /// The first record that is not what was written, and why.
     pub broken: Option<AuditBreak>,
@@ -150,10 +151,24 @@ pub struct AuditVerification {
     /// them is in `broken` too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub archives: Vec<LostArchive>,
+    /// The chains of further benches: absent where there is one bench.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub chains: Vec<AuditChain>,
 }
 
+/// One further chain of records.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct AuditChain {
+    /// Position of its last record.
+    pub last_seq: i64,
+    /// Hash of its last record.
+    pub last_hash: String,
+}
+
+answer! { flip_store::audit::AuditChain => AuditChain { last_seq, last_hash } }
+
 answer! { flip_store::audit::AuditVerification => AuditVerification {
-    records, last_hash, broken, holds_hash, changed, others, archives,
+    records, last_hash, broken, holds_hash, changed, others, archives, chains,
 } }
 
 /// Where an audit trail is broken.

@@ -55,6 +55,76 @@ answer! { app::BenchStatus => BenchStatus {
     unwritten, repeatability,
 } }
 
+/// What a bench's container holds.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Loaded {
+    /// Powder id.
+    pub powder: String,
+    /// Its lot, if it was said.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lot: Option<String>,
+    /// Since when.
+    pub at: Timestamp,
+}
+
+answer! { app::Loaded => Loaded { powder, lot, at } }
+
+/// One of the benches.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Bench {
+    /// Its name.
+    pub name: String,
+    /// What it is; absent if no process has had it yet.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kind: Option<BenchKind>,
+    /// The process that has it (GET /v1/workers); absent if none has, or if there is one bench only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub owner: Option<String>,
+    /// The machine on which that runs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub machine: Option<String>,
+    /// Since when that process has it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub since: Option<Timestamp>,
+    /// When that process was last heard of.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heard_at: Option<Timestamp>,
+    /// Whether a process carries out its weighings.
+    pub served: bool,
+    /// Why it is latched, if it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub latch: Option<String>,
+    /// Why nothing starts on it until a person resumes, if so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held: Option<String>,
+    /// The weighing in motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub moving: Option<String>,
+    /// How many weighings wait for it.
+    pub waiting: u32,
+    /// What its container holds, if it was said.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub holds: Option<Loaded>,
+}
+
+answer! { app::BenchRow => Bench {
+    name, kind, owner, machine, since, heard_at, served, latch, held, moving, waiting, holds,
+} }
+
+/// What a bench's container holds from now on.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LoadRequest {
+    /// Powder id; absent: the container is empty.
+    #[serde(default)]
+    pub powder: Option<String>,
+    /// Its lot.
+    #[serde(default)]
+    pub lot: Option<String>,
+}
+
+request! { LoadRequest => app::LoadRequest { powder, lot } }
+
 /// A person confirms having checked the bench.
 #[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

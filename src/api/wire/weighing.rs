@@ -41,13 +41,18 @@ pub struct WeighingRequest {
     /// The bench reservation under which the request is made, `rs-…`, if any.
     #[serde(default)]
     pub reservation: Option<String>,
+    /// The bench, by its name, or `any`: the least busy of those that hold the powder (GET
+    /// /v1/benches); default the one of this service.
+    #[serde(default)]
+    pub bench_name: Option<String>,
     /// What the caller writes on it, to find it again.
     #[serde(default)]
     pub labels: Labels,
 }
 
 request! { WeighingRequest => app::WeighingRequest {
-    powder, target, tolerance, policy, seed, simulator, conditions, asked, vial_check, reservation, labels,
+    powder, target, tolerance, policy, seed, simulator, conditions, asked, vial_check, reservation,
+    bench_name, labels,
 } }
 
 /// A mass with its unit.
@@ -141,9 +146,12 @@ pub struct Weighing {
     /// Whether someone has to confirm that its vial is in; absent for `confirm`.
     #[serde(default, skip_serializing_if = "is_default")]
     pub vial_check: VialCheck,
-    /// The bench that was armed for it.
+    /// The kind of bench that was armed for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench: Option<BenchKind>,
+    /// The bench that carries it out, by its name; absent for the one named `bench`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bench_name: Option<String>,
     /// Its state.
     pub state: WeighingState,
     /// How it ended.
@@ -179,7 +187,7 @@ pub struct Weighing {
 
 answer! { flip_store::weighings::Weighing => Weighing {
     id, powder, target_mg, tolerance_lower_mg, tolerance_upper_mg, policy, parameter_set, seed,
-    under, patch, asked, vial_check, bench, state, outcome, dispensed_mg, reading_mg, error_mg,
+    under, patch, asked, vial_check, bench, bench_name, state, outcome, dispensed_mg, reading_mg, error_mg,
     shakes, seconds, measured, apparatus, error, created_at, started_at, finished_at, labels,
 } }
 

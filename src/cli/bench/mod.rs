@@ -8,6 +8,7 @@ mod peers;
 mod probe;
 mod roofline;
 mod scale;
+pub(super) mod several;
 mod shakes;
 mod sim;
 mod text;
@@ -35,7 +36,13 @@ pub(super) struct Arguments {
 enum What {
     /// Show the bench, whether it may be used, and its balance's repeatability; works while a
     /// server runs.
-    Status,
+    Status(several::NameArguments),
+    /// List the benches: which process has each, what waits there, what its container holds.
+    List,
+    /// Say what powder is in a bench's container, so that weighings that ask for any bench find it.
+    Load(several::LoadArguments),
+    /// Stop all motion on a bench, whichever process has it. Not an emergency stop.
+    Stop(several::StopArguments),
     /// Clear a latched bench or arm after a person has checked it: weighings may go on.
     Clear(upkeep::ClearArguments),
     /// Let weighings start again after a stop.
@@ -91,7 +98,10 @@ struct BedDocument {
 /// Runs the chosen subcommand and prints its result.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.what {
-        What::Status => upkeep::status(common),
+        What::Status(arguments) => upkeep::status(common, arguments),
+        What::List => several::list(common),
+        What::Load(arguments) => several::load(common, arguments),
+        What::Stop(arguments) => several::stop(common, arguments),
         What::Clear(arguments) => upkeep::clear(common, arguments),
         What::Resume(arguments) => upkeep::resume(common, arguments),
         What::Reserve(arguments) => turns::reserve(common, arguments),

@@ -3,7 +3,8 @@
 use super::super::Common;
 use super::super::benches::BenchArguments;
 use super::super::failure::Failure;
-use super::super::session::{with_idle_bench, with_reader, with_writer};
+use super::super::session::{beside, with_idle_bench, with_reader, with_writer};
+use super::several::NameArguments;
 use crate::app::{BenchStatus, ClearRequest, RepeatabilityRequest, ResumeRequest};
 use flip_core::domain::bench::BenchKind;
 
@@ -29,6 +30,8 @@ pub(in super::super) struct ClearArguments {
     /// A bench of devices needs its bench file, so that its arm is notified.
     #[command(flatten)]
     bench: BenchArguments,
+    #[command(flatten)]
+    name: NameArguments,
 }
 
 /// Arguments of `flip bench resume`.
@@ -40,6 +43,8 @@ pub(in super::super) struct ResumeArguments {
     /// What was found and done.
     #[arg(long, value_name = "TEXT", default_value = "")]
     note: String,
+    #[command(flatten)]
+    name: NameArguments,
 }
 
 /// Arguments of `flip bench repeatability`.
@@ -54,17 +59,24 @@ pub(in super::super) struct RepeatabilityArguments {
 }
 
 /// Prints the state of the bench and whether it may be used.
-pub(in super::super) fn status(common: &Common) -> Result<(), Failure> {
-    let found = with_reader(common, async |lab| Ok(lab.bench().await?))?;
+pub(in super::super) fn status(common: &Common, name: &NameArguments) -> Result<(), Failure> {
+    let name = name.named(common)?;
+    let found = with_reader(common, async |lab| match name {
+        Some(name) => Ok(lab.bench_named(name).await?),
+        None => Ok(lab.bench().await?),
+    })?;
     common.print(&found, || text(&found))
 }
 
 /// Clears the bench after a person's check: weighings may go on.
 pub(in super::super) fn clear(common: &Common, arguments: &ClearArguments) -> Result<(), Failure> {
-    let ClearArguments { by, note, looked, vial_ready, resume, bench } = arguments;
+    let ClearArguments { by, note, looked, vial_ready, resume, bench, name } = arguments;
     let (looked, vial_ready, resume) = (*looked, *vial_ready, *resume);
     let request = ClearRequest { by: by.clone(), note: note.clone(), looked, vial_ready, resume };
-    let found = with_idle_bench(common, bench, async |lab| Ok(lab.clear_bench(request).await?))?;
+    let found = match name.named(common)? {
+        Some(name) => beside(common, async |lab| Ok(lab.clear_bench_named(name, request).await?))?,
+        None => with_idle_bench(common, bench, async |lab| Ok(lab.clear_bench(request).await?))?,
+    };
     common.print(&found, || text(&found))
 }
 
@@ -74,7 +86,12 @@ pub(in super::super) fn resume(
     arguments: &ResumeArguments,
 ) -> Result<(), Failure> {
     let request = ResumeRequest { by: arguments.by.clone(), note: arguments.note.clone() };
-    let found = with_writer(common, async |lab| Ok(lab.resume_bench(request).await?))?;
+    let found = match arguments.name.named(common)? {
+        Some(name) => {
+            beside(common, async |lab| Ok(lab.resume_bench_named(name, request).await?))?
+        }
+        None => with_writer(common, async |lab| Ok(lab.resume_bench(request).await?))?,
+    };
     common.print(&found, || text(&found))
 }
 
@@ -106,7 +123,7 @@ fn kind(found: &BenchStatus) -> &'static str {
     }
 }
 
-fn text(found: &BenchStatus) -> String {
+pub(super) fn text(found: &BenchStatus) -> String {
     let mut lines = vec![format!("bench      {}", kind(found))];
     lines.extend(found.devices.iter().map(|(role, name)| format!("{role:<10} {name}")));
     lines.push(match (&found.latch, &found.held) {

@@ -3,8 +3,8 @@
 use super::super::server::Request;
 use super::Lab;
 use crate::app::{
-    BalanceReading, BalanceRequest, BenchStatus, ClearRequest, Repeatability, RepeatabilityRequest,
-    Reservation, ReservationRequest, Result, ResumeRequest,
+    BalanceReading, BalanceRequest, BenchRow, BenchStatus, ClearRequest, LoadRequest,
+    Repeatability, RepeatabilityRequest, Reservation, ReservationRequest, Result, ResumeRequest,
 };
 
 impl Lab {
@@ -29,6 +29,62 @@ impl Lab {
         match self {
             Self::Here(app) => app.resume_bench(request).await,
             Self::There(server) => server.post(&["bench", "resume"], &request).await,
+        }
+    }
+
+    pub(in super::super) async fn benches(&self) -> Result<Vec<BenchRow>> {
+        match self {
+            Self::Here(app) => app.benches().await,
+            Self::There(server) => server.get(&["benches"]).await,
+        }
+    }
+
+    pub(in super::super) async fn bench_named(&self, name: &str) -> Result<BenchStatus> {
+        match self {
+            Self::Here(app) => app.bench_named(name).await,
+            Self::There(server) => server.get(&["benches", name]).await,
+        }
+    }
+
+    pub(in super::super) async fn stop_bench_named(&self, name: &str) -> Result<BenchStatus> {
+        match self {
+            Self::Here(app) => app.stop_bench_named(name).await,
+            Self::There(server) => server.post(&["benches", name, "stop"], &()).await,
+        }
+    }
+
+    pub(in super::super) async fn resume_bench_named(
+        &self,
+        name: &str,
+        request: ResumeRequest,
+    ) -> Result<BenchStatus> {
+        match self {
+            Self::Here(app) => app.resume_bench_named(name, request).await,
+            Self::There(server) => server.post(&["benches", name, "resume"], &request).await,
+        }
+    }
+
+    pub(in super::super) async fn clear_bench_named(
+        &self,
+        name: &str,
+        request: ClearRequest,
+    ) -> Result<BenchStatus> {
+        match self {
+            Self::Here(app) => app.clear_bench_named(name, request).await,
+            Self::There(server) => server.post(&["benches", name, "clear"], &request).await,
+        }
+    }
+
+    pub(in super::super) async fn load_bench(
+        &self,
+        name: &str,
+        request: LoadRequest,
+    ) -> Result<BenchRow> {
+        match self {
+            Self::Here(app) => app.load_bench(name, request).await,
+            Self::There(server) => {
+                server.ask(Request::put(&["benches", name, "load"], &request)?).await
+            }
         }
     }
 

@@ -1,8 +1,8 @@
 //! The state of the bench, in memory: a stop, a status query and the lane read it here without
 //! waiting for a database.
 //!
-//! The data folder's lock makes this process the only one that changes any of it, so this state is
-//! authoritative and the store follows: a hold and a latch take effect as soon as they are set
+//! The data folder's lock, or having the bench in a server's database, makes this process the only
+//! one that changes any of it, so this state is authoritative and the store follows: a hold and a latch take effect as soon as they are set
 //! here.
 
 use super::sign::StopSign;

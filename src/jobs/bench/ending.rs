@@ -1,7 +1,7 @@
 //! How a dose ended, kept in memory until it is recorded: nothing else starts before that.
 
 use super::condition::{Condition, Unwritten};
-use super::lane::{Heard, LaneThread};
+use super::lane::{Heard, LaneThread, RECORD};
 use flip_bench::rig::{Poured, Pouring};
 use flip_core::domain::apparatus::Apparatus;
 use flip_core::domain::bench::{BenchKind, Tick};
@@ -224,8 +224,13 @@ impl LaneThread {
         self.condition.stands(pan.clone());
         let (mut pause, since) = (AGAIN, now());
         while let Err(error) =
-            self.runtime.block_on(self.try_to_write(weighing, ended, latch.as_ref(), pan, true))
+            self.runtime.block_on(self.write_in_time(weighing, ended, latch.as_ref(), pan, true))
         {
+            if let store::Error::Disowned(_) = error {
+                // Whoever took the bench has recorded that nobody knows how this ended.
+                tracing::error!(weighing = weighing.id, %error, ending = ?ended.ending, "the end of a weighing is not recorded");
+                return;
+            }
             tracing::error!(weighing = weighing.id, %error, "the end of a weighing is not written down yet");
             let unwritten = Unwritten { weighing: weighing.id.clone(), since, why: error.remedy() };
             self.condition.set_unwritten(Some(unwritten));
@@ -260,11 +265,30 @@ impl LaneThread {
     }
 
     fn write_at_last(&self, weighing: &Weighing, ended: &Ended, latch: Option<&Latch>, pan: &Pan) {
-        let written = self.runtime.block_on(self.try_to_write(weighing, ended, latch, pan, false));
+        let written = self.runtime.block_on(self.write_in_time(weighing, ended, latch, pan, false));
         if let Err(error) = written {
             let ending = &ended.ending;
             tracing::error!(weighing = weighing.id, %error, ?ending, "the end of a weighing is lost: the next start calls it unknown");
         }
+    }
+
+    /// As [`Self::try_to_write`], given up after a while: a network that has gone away says nothing.
+    /// If it was written after all, the next try finds the ending there; a reading whose commit was
+    /// not answered may be recorded twice.
+    async fn write_in_time(
+        &self,
+        weighing: &Weighing,
+        ended: &Ended,
+        latch: Option<&Latch>,
+        pan: &Pan,
+        waits: bool,
+    ) -> store::Result<()> {
+        let writing = self.try_to_write(weighing, ended, latch, pan, waits);
+        let given_up = |_| {
+            let why = format!("it did not answer within {} s", RECORD.as_secs());
+            store::Error::Unreachable(why)
+        };
+        tokio::time::timeout(RECORD, writing).await.map_err(given_up)?
     }
 
     async fn try_to_write(
@@ -280,7 +304,7 @@ impl LaneThread {
         let ending = self.with_trace(ended, waits).await?;
         self.journal.hear(&weighing.id, self.rig.exchanges(), None);
         self.journal.write_down(&self.store, &self.condition).await?;
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write_for_bench().await?;
         tx.end_weighing(&weighing.id, &ending, now()).await?;
         if !self.rig.exchanges_vials() {
             tx.set_pan(pan).await?;
@@ -296,7 +320,11 @@ impl LaneThread {
     async fn with_trace(&self, ended: &Ended, waits: bool) -> store::Result<Ending> {
         let Some(ticks) = &ended.ticks else { return Ok(ended.ending.clone()) };
         let trace = match serde_json::to_vec(ticks) {
-            Ok(bytes) => self.store.artifacts().put(&bytes).await,
+            Ok(bytes) if waits => self.store.artifacts().put(&bytes).await,
+            // A bucket that is away must not keep the rest of the ending from being recorded.
+            Ok(bytes) => tokio::time::timeout(RECORD / 4, self.store.artifacts().put(&bytes))
+                .await
+                .unwrap_or_else(|_| Err(store::Error::Corrupt("no answer in time".to_owned()))),
             Err(error) => Err(store::Error::Corrupt(error.to_string())),
         };
         let trace = match trace {
@@ -321,7 +349,7 @@ pub(super) async fn record_interrupted(store: &Store, condition: &Condition) -> 
     }
     let reason = "the end of the weighing is not on record, because the process ended or a write failed before it: check the vial and the bench, then ask \
                   for a new weighing";
-    let mut tx = store.write().await?;
+    let mut tx = store.write_for_bench().await?;
     for (id, bench) in interrupted {
         tracing::warn!(weighing = id, "was interrupted; its outcome is unknown");
         tx.end_weighing(

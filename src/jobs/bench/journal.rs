@@ -99,7 +99,7 @@ impl Journal {
             if some.is_empty() {
                 return Ok(());
             }
-            let mut tx = store.write().await?;
+            let mut tx = store.write_record().await?;
             for entry in &some {
                 entry.write(&mut tx).await?;
             }

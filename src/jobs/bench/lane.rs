@@ -24,6 +24,9 @@ use tokio::runtime::Handle;
 
 /// How often the lane polls for work by itself.
 const LOOK: Duration = Duration::from_secs(1);
+/// How long a dose waits for its record: then it ends by itself, and the spoon is levelled. Longer
+/// than the store waits for another program's lock; a network that has gone away says nothing.
+pub(super) const RECORD: Duration = Duration::from_secs(12);
 /// Seed index for repeated doses.
 const RETRY: u64 = 7;
 
@@ -87,7 +90,7 @@ impl LaneThread {
         if weighing.state == WeighingState::AwaitingVial {
             return Ok(None);
         }
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write_for_bench().await?;
         if tx.await_vial(&weighing.id, now()).await? {
             tx.commit().await?;
             self.condition.refresh(&self.store).await;
@@ -127,7 +130,7 @@ impl LaneThread {
     /// weighing is no longer waiting.
     fn arm(&self, weighing: &Weighing) -> store::Result<Option<Pan>> {
         self.runtime.block_on(async {
-            let mut tx = self.store.write().await?;
+            let mut tx = self.store.write_for_bench().await?;
             let Some(armed) = tx.arm_weighing(&weighing.id, self.rig.kind(), now()).await? else {
                 return Ok(None);
             };
@@ -184,7 +187,7 @@ impl LaneThread {
 
     fn record_discarded(&self, weighing: &Weighing, ended: &Ended) -> store::Result<()> {
         self.runtime.block_on(async {
-            let mut tx = self.store.write().await?;
+            let mut tx = self.store.write_for_bench().await?;
             let said =
                 serde_json::json!({ "action": "vial exchanged after an overdose", "reading_mg": ended.reading_mg() });
             tx.audit(About { weighing: Some(&weighing.id), kind: "decision" }, &said, now()).await?;
@@ -238,17 +241,21 @@ impl LaneThread {
         }
         let written = self.runtime.block_on(async {
             tokio::select! {
-                written = writing => Some(written),
+                written = tokio::time::timeout(RECORD, writing) => Some(written),
                 () = stop.pressed() => None,
             }
         });
         let failed = match written {
-            Some(Ok(Ok(()))) => return ControlFlow::Continue(()),
+            Some(Ok(Ok(Ok(())))) => return ControlFlow::Continue(()),
             None => return ControlFlow::Break(()),
-            Some(Ok(Err(error))) => unrecorded(&error),
-            Some(Err(ended)) => {
+            Some(Ok(Ok(Err(error)))) => unrecorded(&error),
+            Some(Ok(Err(ended))) => {
                 format!("the record could not be written, so nothing may move: {ended}")
             }
+            Some(Err(_)) => format!(
+                "the database did not take the record within {} s, so nothing may move",
+                RECORD.as_secs()
+            ),
         };
         tracing::error!(weighing = id, failed, "what the bench does was not recorded");
         heard.unrecorded = Some(failed);

@@ -19,7 +19,8 @@
 //! needs, `ending.rs` describes how it ended and records that whatever the database does;
 //! `condition.rs` is the state of the bench in memory; `sign.rs` is the stop of one dose,
 //! `halter.rs` notifies the arm of it, and `records.rs` writes stops down afterwards; `turns.rs`
-//! handles people's requests other than doses, `scale.rs` those to the balance between doses. What moves is a [`Rig`]: the simulator, an emulated
+//! handles people's requests other than doses, `scale.rs` those to the balance between doses; `owner.rs`
+//! keeps the bench in a server's database. What moves is a [`Rig`]: the simulator, an emulated
 //! laboratory, or devices.
 
 mod condition;
@@ -27,6 +28,7 @@ mod ending;
 mod halter;
 mod journal;
 mod lane;
+mod owner;
 mod prepare;
 mod records;
 mod scale;
@@ -50,8 +52,9 @@ use flip_store::weighings::{Ending, Weighing};
 use flip_store::{self as store, Store, now};
 use halter::Halter;
 use lane::LaneThread;
+use owner::{Keeper, Keeping};
 use records::Records;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -72,6 +75,8 @@ pub struct Bench {
     reserving: tokio::sync::Mutex<()>,
     closing: Arc<AtomicBool>,
     lane: Mutex<Option<Lane>>,
+    /// Keeps the bench in a server's database.
+    keeper: Mutex<Option<Keeper>>,
 }
 
 struct Lane {
@@ -88,15 +93,15 @@ impl Bench {
         held: Arc<AtomicBool>,
     ) -> store::Result<Self> {
         let (condition, records) = (Condition::of(held), Arc::<Records>::default());
-        // Even if this process does not weigh: the lock on the data folder proves that no other one
-        // does.
+        // Even if this process does not weigh: the lock on the data folder, or having the bench in a
+        // server's database, proves that no other one does.
         record_interrupted(&store, &condition).await?;
         condition.load(&store).await?;
         records.keep_writing(&store);
         let halter = Halter::start(rig.clone())
             .map_err(|source| store::Error::File { path: "the thread for stops".into(), source })?;
-        let (reserving, closing, lane) = Default::default();
-        Ok(Self { store, rig, condition, records, halter, reserving, closing, lane })
+        let (reserving, closing, lane, keeper) = Default::default();
+        Ok(Self { store, rig, condition, records, halter, reserving, closing, lane, keeper })
     }
 
     /// Capacity of this bench's spoon, whichever of these sets is the powder, mg; `None` without
@@ -137,6 +142,24 @@ impl Bench {
         let thread = thread
             .map_err(|source| store::Error::File { path: "the bench's thread".into(), source })?;
         *self.lane() = Some(Lane { wake, thread });
+        self.keep()
+    }
+
+    /// In a server's database: tells the others that this process has the bench, until it ends.
+    fn keep(&self) -> store::Result<()> {
+        if self.store.bench_owner().is_none() {
+            return Ok(());
+        }
+        let keeping = Keeping {
+            store: self.store.clone(),
+            rig: self.rig.clone(),
+            condition: self.condition.clone(),
+            runtime: Handle::current(),
+            silent: HashMap::new(),
+        };
+        let keeper = Keeper::start(keeping)
+            .map_err(|source| store::Error::File { path: "the owner's thread".into(), source })?;
+        *self.keeper.lock().unwrap_or_else(PoisonError::into_inner) = Some(keeper);
         Ok(())
     }
 
@@ -157,6 +180,11 @@ impl Bench {
     /// The end of a dose that could not be recorded yet: nothing starts before it is.
     pub fn unwritten(&self) -> Option<Unwritten> {
         self.standing().unwritten
+    }
+
+    /// Whether this process carries out weighings on it.
+    pub fn works(&self) -> bool {
+        self.lane().is_some()
     }
 
     /// The kind of bench.
@@ -259,6 +287,7 @@ impl Bench {
             }
         }
         self.records.close(&self.store).await;
+        drop(self.keeper.lock().unwrap_or_else(PoisonError::into_inner).take());
     }
 
     fn take_lane(&self) -> Option<Lane> {

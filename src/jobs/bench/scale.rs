@@ -32,7 +32,7 @@ impl Bench {
             }
             Err(error) => (serde_json::json!({ "failed": error.to_string() }), &[][..]),
         };
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write_for_bench().await?;
         tx.audit_deed(None, order.verb(), details, now()).await?;
         audit_exchanges(&mut tx, None, exchanges, now()).await?;
         let before_mg = shown.as_ref().ok().and_then(|shown| shown.before_mg);

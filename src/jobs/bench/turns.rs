@@ -38,7 +38,7 @@ impl Bench {
     /// [`store::Error`]: the bench is still held.
     pub async fn resume(&self, by: &str, note: &str, stops: u64) -> store::Result<Change> {
         self.records.write_down(&self.store).await?;
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write_for_bench().await?;
         // A stop from here on is recorded after this transaction.
         if self.stops() != stops {
             return Ok(Change::Void);
@@ -85,7 +85,7 @@ impl Bench {
     ) -> store::Result<Change> {
         self.records.write_down(&self.store).await?;
         let pan = self.condition.pan().emptied();
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write_for_bench().await?;
         if self.stops() != stops {
             return Ok(Change::Void);
         }
@@ -123,7 +123,7 @@ impl Bench {
         vial: Option<String>,
         stops: u64,
     ) -> store::Result<Change> {
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write_for_bench().await?;
         if self.stops() != stops {
             return Ok(Change::Void);
         }
@@ -149,7 +149,7 @@ impl Bench {
         seconds: u32,
     ) -> store::Result<Result<Reservation, Refused>> {
         let _one = self.reserving.lock().await;
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write_for_bench().await?;
         if let Some(refused) = tx.may_reserve(id, now()).await? {
             return Ok(Err(refused));
         }
@@ -168,7 +168,7 @@ impl Bench {
     /// [`store::Error`]
     pub async fn release(&self, id: &str) -> store::Result<bool> {
         let _one = self.reserving.lock().await;
-        let mut tx = self.store.write().await?;
+        let mut tx = self.store.write_for_bench().await?;
         let released = tx.release_bench(id, now()).await?;
         tx.commit().await?;
         if released {

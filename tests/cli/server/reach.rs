@@ -7,7 +7,7 @@ use crate::harness::{expect_status, stderr};
 const NOWHERE: &str = "http://127.0.0.1:1";
 
 /// Commands that ask a server, with arguments that they accept.
-const THERE: [&str; 44] = [
+const THERE: [&str; 47] = [
     "calibrate --powder salt",
     "measure --powder salt",
     "measurements import FILE",
@@ -32,6 +32,9 @@ const THERE: [&str; 44] = [
     "characterise --powder salt",
     "film",
     "bench status",
+    "bench list",
+    "bench load --bench-name hall-2",
+    "bench stop --bench-name hall-2",
     "bench clear --by Ada --looked --vial-ready",
     "bench resume --by Ada",
     "bench reserve --owner Ada --seconds 9",

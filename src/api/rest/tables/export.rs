@@ -20,7 +20,7 @@ use tower::ServiceExt;
 pub use super::Format;
 
 /// Lists that are no results: what admins see, and who computes at the moment.
-const NO_RESULTS: [&str; 3] = ["/v1/tokens", "/v1/webhooks", "/v1/workers"];
+const NO_RESULTS: [&str; 4] = ["/v1/benches", "/v1/tokens", "/v1/webhooks", "/v1/workers"];
 
 /// What an export wrote.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]

@@ -232,7 +232,7 @@ fn real(number: f64) -> String {
 }
 
 /// Columns of JSON.
-const JSON: [&str; 16] = [
+const JSON: [&str; 17] = [
     "spec",
     "subject",
     "labels",
@@ -249,6 +249,7 @@ const JSON: [&str; 16] = [
     "items",
     "args",
     "refused",
+    "answer",
 ];
 /// Columns that refer to a row of another table, and to which.
 const REFERENCES: [(&str, &str); 9] = [
@@ -343,6 +344,8 @@ fn special(table: &str, column: &str, k: u64, dice: &mut Dice) -> Option<String>
         ("portion", "outcomes" | "done_at") if first => Some("NULL".to_owned()),
         ("portion", "outcomes") => Some("x'a0f97e00'".to_owned()),
         ("portion", "done_at") => Some(dice.count().to_string()),
+        ("bench", "chain") => Some((100 + k).to_string()),
+        ("bench", "powder" | "loaded_at") => Some("NULL".to_owned()),
         ("node_action", "refused") => Some("NULL".to_owned()),
         ("node_action", "id") => Some(literal(&format!("{k:026}"))),
         ("kept_policy", "id") => Some(literal(&format!("p-{k}"))),
