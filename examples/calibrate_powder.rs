@@ -38,7 +38,7 @@ fn search(powder: &Published, settings: &Settings) -> Result<Calibration, Error>
         Ok(Heap { tip_deg, tip_sd_deg: None, cone_deg, creep_deg_per_s })
     };
     // A batch of heaps at a time: here on all cores.
-    let simulate = |pours: &[Pour]| pours.par_iter().map(heap).collect();
+    let simulate = |pours: &[Pour]| pours.par_iter().map(heap).collect::<Vec<_>>();
     calibrate(&powder.automated, settings, None, &[], simulate, |trial, progress| {
         let phase = if trial.phase == Phase::Search { "search" } else { "verify" };
         match &trial.outcome {

@@ -182,7 +182,7 @@ fn evaluated(host: &dyn JobHost, plan: &Plan) -> (Result<Evaluation>, usize) {
             readability_mg: 1.0,
         };
         let controller = of.contender.controller.clone();
-        let (accuracy, rules) = (Accuracy::default(), Rules::default());
+        let (accuracy, rules) = (Accuracy::default(), Rules::FLIP);
         Ok(DoseExperiment {
             task: Arc::new(Task { order, accuracy, controller, rules }),
             simulation: Simulation {

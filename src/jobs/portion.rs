@@ -131,7 +131,7 @@ fn carry_out_on<E: Portable, O: Serialize + Send>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::runner::{Cores, heaps_on_cores};
+    use super::super::runner::heaps_on_cores;
     use super::*;
     use flip_bench::weigh::{Accuracy, Order};
     use flip_core::domain::conditions::Patch;
@@ -205,7 +205,7 @@ mod tests {
                 },
                 accuracy: Accuracy::default(),
                 controller,
-                rules: Rules::default(),
+                rules: Rules::FLIP,
             })
         };
         let network = task(Controller::untrained(3));
@@ -246,6 +246,5 @@ mod tests {
         assert_eq!(carry_out(&functions, "heap", &bytes, &|| false), Ok(None));
         assert!(carry_out(&functions, "wind", &bytes, &|| true).unwrap_err().contains("`wind`"));
         assert!(carry_out(&functions, "heap", b"\xff", &|| true).is_err());
-        let _: &dyn Runner<u64, u64> = &Cores(|x: &u64| *x);
     }
 }

@@ -34,7 +34,7 @@ fn held_out(k: u64) -> ParameterSet {
 fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
     // Less than half of the product's heaps: its uncertainties have to be right at any size.
     let design = Design { runs: 100, initial: 64, round: 18, ..Design::with_particles(PARTICLES) };
-    let heaps = |pours: &[Pour]| pours.par_iter().map(heap).collect();
+    let heaps = |pours: &[Pour]| pours.par_iter().map(heap).collect::<Vec<_>>();
     let emulator =
         build(&design, sim::directions, &[], heaps, |_, _| ControlFlow::Continue(())).unwrap();
     let scores: Vec<f64> = (0..HELD_OUT)

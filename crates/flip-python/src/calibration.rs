@@ -37,7 +37,7 @@ pub(crate) fn calibrate(
     let target = Flowability::new(repose_deg, 0.0, 1).map_err(refused)?;
     let mut interrupted = None;
     let found = py.detach(|| {
-        let pour = |pours: &[Pour]| pours.par_iter().map(simulated).collect();
+        let pour = |pours: &[Pour]| pours.par_iter().map(simulated).collect::<Vec<_>>();
         search(&target, &settings, None, &[], pour, |_, _| {
             match Python::attach(|py| py.check_signals()) {
                 Ok(()) => ControlFlow::Continue(()),

@@ -1,13 +1,15 @@
 //! Portions: pieces of a running job that any worker may compute, for a job on several machines.
 //!
 //! ```text
-//!   cut under the job's lease           claim                   finish
-//!  ---------------------------> [waits] -----> [is computed] ----------> [done]
-//!                                  ^                 |                     |
-//!                                  +-----------------+                     |
-//!                                   give back, or its lease ends           |
-//!              taken back by the job's worker, or handed over to it: no row <-+
+//!  cut under the job's lease           claim                   finish
+//! ---------------------------> [waits] -----> [is computed] ----------> [done]
+//!                                 ^                 |
+//!                                 +-----------------+
+//!                          given back, or its lease has ended
 //! ```
+//!
+//! The job's own worker drops the row of a portion that waits when it takes it back, and of one that is
+//! done when it has received what it gave.
 //!
 //! A claim of a portion has a number as that of a job has, and what carries an older one changes
 //! nothing. Portions are of one attempt at their job: they end with it.
