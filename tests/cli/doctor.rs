@@ -41,7 +41,7 @@ async fn name_an_artifact(data: &Path, sha256: &str) {
     let database = format!("sqlite://{}", data.join("flip.db").display());
     let mut connection = SqliteConnection::connect(&database).await.unwrap();
     let insert = "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at, checkpoint) \
-                  VALUES ('j-1', 'training', '{}', zeroblob(32), 'failed', 0, $1)";
+                  VALUES ('j-1', 'training', '{}', zeroblob(32), 'queued', 0, $1)";
     sqlx::query(insert).bind(sha256).execute(&mut connection).await.unwrap();
     connection.close().await.unwrap();
 }
