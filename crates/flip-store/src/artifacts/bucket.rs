@@ -124,11 +124,13 @@ impl Bucket {
             why: format!("{said}: {advice}"),
         };
         match status {
-            Some(404) if !key.is_empty() && !said.contains("NoSuchBucket") => {
+            // The words of S3: a server in between that knows nothing of it says 404, too.
+            Some(404) if said.contains("NoSuchKey") => {
                 let source = io::Error::new(io::ErrorKind::NotFound, "there is no such object");
                 Error::File { path: format!("{at}/{key}").into(), source }
             }
-            Some(404) => refused("make the bucket first"),
+            Some(404) if said.contains("NoSuchBucket") => refused("make the bucket first"),
+            Some(404) => refused("is AWS_ENDPOINT the address of a server of S3?"),
             Some(401 | 403) => refused(
                 "check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and what this key may do",
             ),

@@ -264,6 +264,11 @@ async fn a_bucket_that_cannot_be_used_is_named_with_what_to_do() {
         }
         assert!(started.elapsed() < Duration::from_secs(25), "{:?}", started.elapsed());
     }
+    // Who knows nothing of S3 does not say that a file is lost.
+    s3.refuse(1, 404);
+    let error = in_bucket(&s3, "north").get(&sha256).await.unwrap_err();
+    assert!(matches!(error, Error::Artifacts { .. }) && !error.is_lost_part(), "{error}");
+    assert!(error.to_string().contains("AWS_ENDPOINT"), "{error}");
     s3.refuse(1000, 503);
     let error = in_bucket(&s3, "north").put(b"weights").await.unwrap_err();
     assert!(matches!(error, Error::ArtifactsAway { .. }), "{error}");
