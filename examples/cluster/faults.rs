@@ -83,7 +83,10 @@ pub(super) async fn run(
     }
     let equal = results.iter().zip(&alone).filter(|(here, there)| here == there).count();
     let seconds = began.elapsed().as_secs();
-    println!("\n{} jobs in {seconds} s: all succeeded, {equal} with the result of one undisturbed process; flip doctor is content", asked.len());
+    println!(
+        "\n{} jobs in {seconds} s: all succeeded, {equal} with the result of one undisturbed process; flip doctor is content",
+        asked.len()
+    );
     ensure!(equal == asked.len(), "results differ");
     Ok(())
 }
@@ -204,7 +207,8 @@ impl<'a> Site<'a> {
     async fn called(&self, path: &str, body: Option<&Value>) -> Result<Value> {
         let began = Instant::now();
         loop {
-            let urls = self.servers.iter().filter_map(|it| it.said()?["url"].as_str().map(str::to_owned));
+            let urls =
+                self.servers.iter().filter_map(|it| it.said()?["url"].as_str().map(str::to_owned));
             for url in urls.collect::<Vec<_>>() {
                 let url = format!("{url}{path}");
                 let call = match body {
