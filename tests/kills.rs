@@ -175,6 +175,7 @@ impl Service {
         let (process, said) = started(&serve);
         let url = said["url"].as_str().unwrap().to_owned();
         let token = token.or_else(|| said["token"].as_str().map(str::to_owned)).expect("a token");
+        flip_testing::speak_tls();
         Self { process, url, client: reqwest::Client::new(), token }
     }
 

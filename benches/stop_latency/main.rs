@@ -62,6 +62,7 @@ impl Service {
         let said = serde_json::Deserializer::from_reader(stdout).into_iter::<Value>().next();
         let said = said.ok_or_else(|| anyhow::anyhow!("the service says nothing"))??;
         let text = |key: &str| said[key].as_str().unwrap_or_default().to_owned();
+        flip_testing::speak_tls();
         let client = reqwest::Client::builder().pool_max_idle_per_host(0).build()?;
         Ok(Self { process, url: text("url"), token: text("token"), data, client })
     }

@@ -55,6 +55,7 @@ pub(super) async fn run(
     faults.shuffle(&mut rng);
     println!("{} faults, seed {seed}", faults.len());
 
+    flip_testing::speak_tls();
     let began = Instant::now();
     let mut site = Site::start(flip, Client::builder().timeout(Duration::from_secs(5)).build()?);
     site.prepare().await?;

@@ -120,7 +120,7 @@ pub use flip_store::Storage;
 pub use flip_store::archive::LostArchive;
 pub use flip_store::archiving::Archived;
 pub use flip_store::artifacts::Disagreement;
-pub use flip_store::audit::{AuditRecord, AuditVerification};
+pub use flip_store::audit::{AuditChain, AuditRecord, AuditVerification};
 pub use flip_store::audit_search::{AuditFound, AuditWanted};
 pub use flip_store::backup::Copied;
 pub use flip_store::bench::{BENCH_TOPIC, Latch};

@@ -82,6 +82,7 @@ impl Service {
         let ended = tokio::spawn(server.run(async {
             let _told_or_dropped = stopped.await;
         }));
+        flip_testing::speak_tls();
         let client = reqwest::Client::new();
         Self { app, address, sila, bench, client, stop: Some(stop), ended, data }
     }

@@ -50,6 +50,7 @@ impl Logging {
     }
 
     async fn ask(&self) {
+        flip_testing::speak_tls();
         let client = reqwest::Client::builder().timeout(SOON).build().unwrap();
         for _ in 0..20 {
             let answer = client.get(format!("{}/v1/powders", self.url)).send().await;

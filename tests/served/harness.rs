@@ -28,6 +28,7 @@ impl Service {
         let said = said.expect("the service says where it listens").unwrap();
         let url = said["url"].as_str().unwrap().to_owned();
         let token = said["token"].as_str().map(str::to_owned);
+        flip_testing::speak_tls();
         Self { process, url, token, client: reqwest::Client::new() }
     }
 

@@ -66,6 +66,12 @@ pub async fn pool(data_dir: &Path) -> AnyPool {
     AnyPoolOptions::new().max_connections(2).connect(&url).await.unwrap()
 }
 
+/// Choose who computes for TLS in this process: a client of HTTP cannot be made without.
+pub fn speak_tls() {
+    // A second call changes nothing.
+    let _ = rustls::crypto::ring::default_provider().install_default();
+}
+
 /// SQL with bytes as SQLite writes them (`x'00'`, `zeroblob(32)`), for the database that tests run
 /// on.
 pub fn with_bytes(sql: &str) -> String {

@@ -211,8 +211,8 @@ impl From<app::BenchRow> for ListedBench {
     }
 }
 
-impl From<flip_store::audit::AuditChain> for AuditChain {
-    fn from(chain: flip_store::audit::AuditChain) -> Self {
+impl From<app::AuditChain> for AuditChain {
+    fn from(chain: app::AuditChain) -> Self {
         Self { last_seq: chain.last_seq, last_hash: chain.last_hash }
     }
 }
