@@ -14,7 +14,7 @@ fn least(method: &str, path: &str) -> Option<Role> {
         (_, "/v1/login" | "/v1/login/finish") => return None,
         (_, "/v1/tokens" | "/v1/tokens/{id}" | "/v1/webhooks" | "/v1/webhooks/{id}") => Role::Admin,
         // An operator's too, if the token was made for it; these were not.
-        ("POST", "/v1/bench/clear") => Role::Admin,
+        ("POST", "/v1/bench/clear" | "/v1/benches/{name}/clear") => Role::Admin,
         ("GET", _) => Role::Viewer,
         _ => Role::Operator,
     })
@@ -23,7 +23,8 @@ fn least(method: &str, path: &str) -> Option<Role> {
 /// Sends the operation with an empty body and an id that does not exist: authorised callers get a
 /// status other than 401 or 403, and nothing is changed.
 async fn status(service: &Service, method: &str, path: &str, token: Option<&str>) -> u16 {
-    let mut request = service.request(method, &path.replace("{id}", "none"));
+    let path = path.replace("{id}", "none").replace("{name}", "none");
+    let mut request = service.request(method, &path);
     if method != "GET" {
         request = request.json(&json!({ "no such field": 1 }));
     }
