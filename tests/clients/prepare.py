@@ -1,5 +1,6 @@
 """Makes the environments of all clients. The gate does so while the compiler works, which leaves the network to it."""
 
+import os
 import subprocess
 import unittest
 
@@ -11,10 +12,12 @@ import test_tables
 import test_webhooks
 from service import environment
 
+# The gate leaves the Python package out (`test_python.py`).
+GATE = os.environ.get("FLIP_GATE")
+
 for packages in (
     test_openapi.GENERATOR,
-    test_python.PLAIN,
-    test_python.ADAPTERS,
+    *([] if GATE else [test_python.PLAIN, test_python.ADAPTERS]),
     test_madsci.MADSCI,
     test_sila.SILA2,
     test_sila.UNITELABS,
@@ -27,6 +30,7 @@ for packages in (
     except unittest.SkipTest:
         pass
 try:
-    test_python.build.tools(test_python.build.TOOLS)
+    if not GATE:
+        test_python.build.tools(test_python.build.TOOLS)
 except subprocess.CalledProcessError:
     pass

@@ -30,6 +30,12 @@ PLAIN = ["python", *BASE, "attrs==26.1.0", "gymnasium==1.4.0", "pandas==3.1.1", 
 ADAPTERS = ["python-adapters", *BASE, "pylabrobot==0.2.2", "bluesky==1.15.1", "ophyd-async==0.21.3", "ivoryos==1.7.2", "mlflow-skinny==3.17.2", "alembic"]
 
 
+def setUpModule():
+    # Until what the gate compiles has shrunk enough for 264 s of a processor more.
+    if os.environ.get("FLIP_GATE"):
+        service.skip("the gate leaves the Python package out; make test does not")
+
+
 @functools.cache
 def wheel():
     """Builds the wheel in the profile of the tests: of FLIP's crates, only two are not compiled for them already."""
