@@ -107,6 +107,7 @@ async fn dose(app: &App, powder: &str, target_mg: f64, seed: u64) -> anyhow::Res
         vial_check: Default::default(),
         reservation: None,
         labels: Default::default(),
+        bench_name: None,
     };
     let (weighing, _) = app.start_weighing(request, &format!("{}", uuid::Uuid::now_v7())).await?;
     loop {
