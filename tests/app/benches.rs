@@ -217,8 +217,8 @@ async fn a_dose_ends_by_itself_when_the_network_to_its_database_goes_away() {
     let folder = tempfile::tempdir().unwrap();
     let Some(url) = address(folder.path()).await else { return };
     let (_, sockets) = url.split_once("?host=").unwrap();
-    let socket = std::fs::read_dir(sockets).unwrap().flatten().map(|it| it.path());
-    let socket = socket.filter(|it| it.extension().is_some_and(|it| it == "5432")).next();
+    let mut socket = std::fs::read_dir(sockets).unwrap().flatten().map(|it| it.path());
+    let socket = socket.find(|it| it.extension().is_some_and(|it| it == "5432"));
     let network = Network::to(socket.expect("its socket"));
     let name = url.split(['/', '?']).nth(3).unwrap();
     let url = format!("postgres://flip@{}/{name}?sslmode=disable", network.address);
