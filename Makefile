@@ -1,5 +1,6 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium, clients that others wrote; prints how many ran
+# make test-python   the Python package: its wheel, and every client that uses it
 # make laws   every law of nature of the validation suite, those that take minutes too: a quarter of an hour
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
 # make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
@@ -9,10 +10,10 @@
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
-# make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal: a few minutes for each repeat (ARGS="3 100": repeats, size in %; FLIP_POSTGRES_BIN=folder of initdb)
-# make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone (ARGS='--episodes 40': a few minutes)
-# make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped: hours (ARGS='10 1': a tenth of the faults, seed)
-# make slim       the program without training and libtorch, and the Python wheel: their sizes
+# make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal; not run yet (ARGS="3 100": repeats, size in %; FLIP_POSTGRES_BIN=folder of initdb)
+# make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone; not run yet (ARGS='--episodes 40')
+# make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped; not run yet (ARGS='10 1': a tenth of the faults, seed)
+# make slim       the program without training and libtorch, and the Python wheel: their sizes; not run yet
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
 # make pictures   the pictures of the page in README and docs, of doses it has weighed on the emulated bench: about five minutes
 # make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
@@ -25,7 +26,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers cluster faults slim page-report pictures proto dist lint check
+.PHONY: run test test-python laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers cluster faults slim page-report pictures proto dist lint check
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -38,6 +39,9 @@ run: setup
 
 test: setup chromium postgres
 	python3 .ci/tests.py
+
+test-python: setup
+	FLIP_PYTHON=1 python3 .ci/tests.py clients
 
 laws: setup
 	FLIP_LAWS=1 cargo test --locked --test physics
