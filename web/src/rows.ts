@@ -2,8 +2,8 @@
 
 /** Tables up to this many rows are drawn whole. */
 export const WHOLE_MAX = 60
-/** Rows come and go this many at a time, and as many are drawn beyond either edge. */
-const STEP = 8
+/** Rows come and go this many at a time, and as many are drawn beyond either edge: each of them costs time at every step of scrolling. */
+const STEP = 4
 
 export class Rows {
   #heights = new Map<string, number>()
@@ -33,6 +33,22 @@ export class Rows {
       moved = true
     }
     return moved
+  }
+}
+
+/** Which element of the document each drawn row has. A row keeps its element for as long as it is drawn. */
+export class Slots {
+  #slots = new Map<string, number>()
+  #made = 0
+
+  /** The element of each of these rows, by number. To recycle: a row that comes takes one of a row that went, which costs less than a new one. */
+  of(keys: string[], recycle: boolean): number[] {
+    const stay = new Set(keys)
+    // In their order: then those that are scrolled out of sight move as one to the other edge.
+    const free = recycle ? [...this.#slots].filter(([key]) => !stay.has(key)).map(([, slot]) => slot) : []
+    const slots = keys.map((key) => this.#slots.get(key) ?? free.shift() ?? this.#made++)
+    this.#slots = new Map(keys.map((key, k) => [key, slots[k]!]))
+    return slots
   }
 }
 
