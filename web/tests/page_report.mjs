@@ -98,6 +98,26 @@ try {
   const long = await page.evaluate(() => globalThis.longTasks)
   told(`weighings: longest task while ${shown} rows are scrolled, ${drawn} of them drawn`, [Math.max(0, ...long)], 'ms', '<= 50')
   await chromium.browser.close()
+
+  // Straight at the service, and no browser beside it that takes its time. Every repeat asks for another value.
+  const ago = (share) => new Date(Date.now() - share * WEIGHINGS * 60_000).toISOString()
+  const FILTERS = {
+    powder: (k) => ({ powder: ['salt', 'sand', 'sugar', 'semolina'][k % 4] }),
+    outcome: (k) => ({ outcome: ['over', 'under', 'within'][k % 3] }),
+    text: (k) => ({ q: `V${777 + k}` }),
+    dates: (k) => ({ since: ago((k + 1) / REPEATS), until: ago(0) }),
+    lot: (k) => ({ lot: `L${k % 50}` }),
+  }
+  for (const [name, filter] of Object.entries(FILTERS)) {
+    const times = []
+    for (let k = 0; k < REPEATS; k++) times.push(await timed(async () => {
+      const query = new URLSearchParams({ ...filter(k), limit: 50 })
+      const response = await fetch(`${service.own}/v1/weighings?${query}`, { headers: { authorization: `Bearer ${service.token}` } })
+      const { total } = await response.json()
+      if (!(total > 0)) throw new Error(`${query} finds nothing: ${response.status}`)
+    }))
+    told(`the service alone: weighings by ${name}`, times, 'ms', '<= 100')
+  }
   if (chromium.complaints.length > 0) throw new Error(chromium.complaints.join('\n'))
 } finally {
   await service.stop()

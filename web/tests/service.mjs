@@ -83,5 +83,5 @@ export async function startService(...more) {
     throw new Error(`job ${id} is not done after ${seconds} s\n${log}`)
   }
 
-  return { url, token, folder: join(folder, 'data'), get, post, put, finished, stop, kill: () => child.kill('SIGKILL') }
+  return { url, own, token, folder: join(folder, 'data'), get, post, put, finished, stop, kill: () => child.kill('SIGKILL') }
 }
