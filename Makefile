@@ -1,5 +1,6 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium, clients that others wrote; prints how many ran
+# make test-long   those tests, too, that take minutes each: rates of discovery, every law of nature; an hour and a half on two cores
 # make test-python   the Python package: its wheel, and every client that uses it
 # make laws   every law of nature of the validation suite, those that take minutes too: a quarter of an hour
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
@@ -20,13 +21,13 @@
 # make stale   results in docs that are older than the code they speak of
 # make proto  the gRPC contract: buf's lint, and nothing that breaks a client of the last tag
 # make dist   a tarball and a Debian package that run without Rust, Python or network, each started in an empty root
-# make check  what is wrong without running a test: format, clippy, licences, repeated blocks, and the README's own commands
+# make check  what is wrong without running a test: format, clippy, licences, repeated blocks, and the README's own commands · make tidy   without clippy, as the gate
 # make web    the page alone · make bench   the hot loops · make lint   make check's first half and the code's documentation
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-python laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers cluster faults slim page-report pictures proto dist lint check
+.PHONY: run test test-long test-python laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers cluster faults slim page-report pictures proto dist lint check tidy
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -43,8 +44,11 @@ test: setup chromium postgres
 test-python: setup
 	FLIP_PYTHON=1 python3 .ci/tests.py clients
 
+test-long: setup chromium postgres
+	FLIP_LONG=1 python3 .ci/tests.py
+
 laws: setup
-	FLIP_LAWS=1 cargo test --locked --test physics
+	cargo test --locked --test physics -- --include-ignored
 
 # What cargo cannot fetch by itself: libtorch (checked by SHA-256), and the built page and documentation, which the binary embeds.
 setup: need .libtorch/build-version web web/docs-dist/index.html
@@ -213,13 +217,15 @@ training-report: setup
 		doses --repeats 5 --policy "$$paper" --controllers policy
 	done
 
-check: setup
+check: tidy
+	cargo clippy --locked --workspace --all-targets -- -D warnings
+
+tidy: setup
 	cargo fmt --all --check
 	python3 .ci/deny.py
 	python3 .ci/repeats.py
 	cargo build --locked --bin flip
 	python3 .ci/readme.py "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/debug/flip"
-	cargo clippy --locked --workspace --all-targets -- -D warnings
 
 lint: setup
 	cargo fmt --all --check

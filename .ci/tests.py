@@ -29,13 +29,15 @@ DATABASE = {
     "app": ["calibration::", "limits::", "simulator::", "spoons::", "training"],
 }
 ON_POSTGRES = "_on_postgresql"
-# Suites that only compute, the longest first. A gate has its compiler's warnings looked for meanwhile, too: `make check` then finds them.
-COMPUTE = ["clippy", "physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_grains", "flip_policy", "flip_core"]
+# Suites that only compute, the longest first.
+COMPUTE = ["physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_grains", "flip_policy", "flip_core"]
 # A niceness of 19 is not enough: a balance that wakes may then wait for milliseconds.
 IDLE = ["chrt", "--idle", "0"] if shutil.which("chrt") else ["nice", "-n", "19"]
 # Tests that run at a time in a suite in which they mostly wait.
 THREADS = {"flip_bench": 4}
 SLOWEST = 10
+# Tests that take minutes are ignored with that as the reason, except by `make test-long`.
+LONG = ["--include-ignored"] if os.environ.get("FLIP_LONG") else []
 
 
 def built():
@@ -50,13 +52,11 @@ def built():
             folder = pathlib.Path(message["manifest_path"]).parent
             # `--report-time` is unstable, and the slowest tests are worth it.
             threads = ["--test-threads", str(THREADS[name])] if name in THREADS else []
-            command = [message["executable"], "-Zunstable-options", "--report-time", *threads]
+            command = [message["executable"], "-Zunstable-options", "--report-time", *LONG, *threads]
             yield (f"{name}_{kind}" if kind == "bin" else name), command, folder
             if name in DATABASE and kind != "bin":
                 left_out = [word for test in DATABASE[name] for word in ("--skip", test)]
                 yield f"{name}{ON_POSTGRES}", ["env", "FLIP_TEST_DATABASE=postgres", *command, *left_out], folder
-    if os.environ.get("FLIP_GATE"):
-        yield "clippy", ["cargo", "clippy", "--locked", "--workspace", "--all-targets", "--", "-D", "warnings"], ROOT
     page = {"FLIP_BIN": str(TARGET / "debug/flip")}
     yield "page", ["env", *(f"{name}={value}" for name, value in page.items()), "npm", "test"], ROOT / "web"
     yield "docs", ["make", "docs"], ROOT
@@ -73,7 +73,7 @@ def run(name, command, folder):
         "CARGO_MANIFEST_DIR": str(folder),
         "LD_LIBRARY_PATH": ":".join(filter(None, paths)),
     }
-    if name in ("clients", "clippy", "docs", "page"):
+    if name in ("clients", "docs", "page"):
         del environment["RUSTC_BOOTSTRAP"]
     start = time.monotonic()
     with log.open("wb") as out:
@@ -125,6 +125,8 @@ def main():
     on_sqlite = sum(result[3] for name, result in results.items() if name in DATABASE)
     print(f"of the database: {on_sqlite} on SQLite, {on_postgres} on PostgreSQL")
     print(f"tests passed: {total} (Rust {total - page - others}, page {page}, others' clients {others})")
+    left_out = sum(int(n) for name in results for n in re.findall(r"; (\d+) ignored", (LOGS / f"{name}.log").read_text(errors="replace")))
+    print(f"left to `make test-long`, because they take minutes: {left_out}")
     if failed:
         sys.exit(f"failed: {', '.join(failed)}; see target/test/NAME.log")
 

@@ -13,8 +13,8 @@
 //! campaigns   whole campaigns with simulated heaps and held-out gain, in the report alone
 //! ```
 //!
-//! `cargo test --test discovery` hides a few dozen. `make discovery-report` hides hundreds and
-//! prints the table; it can be stopped and resumed.
+//! `cargo test --test discovery` hides a few, `make test-long` a few dozen, each with bounds on the
+//! rates. `make discovery-report` hides hundreds and prints the table; it can be stopped and resumed.
 
 mod heaps;
 // The report uses more of it.
@@ -75,7 +75,19 @@ fn verdict(nulls: &[Scored], effects: &[Scored]) -> Result<(), String> {
     }
 }
 
+/// One of each kind; `make test-long` hides many.
 #[test]
+fn a_hidden_cause_is_found_and_named_and_nothing_where_nothing_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let kinds = [Family::NullPlain, Family::Humidity, Family::Operator];
+    for of in scored(folder.path(), &wanted(&kinds, LARGE_DEG, 0..1), SIMULATIONS) {
+        assert_eq!(of.is_found, !of.is_null, "{of:?}");
+        assert_eq!(of.is_confident_and_right, !of.is_null, "{of:?}");
+    }
+}
+
+#[test]
+#[ignore = "takes minutes of two cores; `make test-long` runs it"]
 fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
     let folder = tempfile::tempdir().unwrap();
     let of = |families: &[Family], seeds| {
@@ -119,6 +131,7 @@ fn hidden_causes_are_found_and_named_and_saboteurs_fail() {
 
 /// Defects of the solver are attributed to the solver, and a sound one gets none.
 #[test]
+#[ignore = "takes minutes of two cores; `make test-long` runs it"]
 fn a_solver_whose_heaps_creep_is_named_and_a_sound_one_is_not() {
     let folder = tempfile::tempdir().unwrap();
     let all = solver::criticised(folder.path(), &solver::wanted(&Defect::ALL, 0..2));
@@ -136,6 +149,7 @@ fn a_solver_whose_heaps_creep_is_named_and_a_sound_one_is_not() {
 /// A campaign whose covariates moved together gets an experiment instead of a name, and the name
 /// after it. `UPDATE=1` writes the campaign after it.
 #[test]
+#[ignore = "takes minutes of two cores; `make test-long` runs it"]
 fn what_moved_together_is_named_after_the_experiment_that_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let laboratory = Laboratory::new(folder.path());
@@ -164,6 +178,7 @@ fn what_moved_together_is_named_after_the_experiment_that_is_asked_for() {
 /// Effects in the grains are found and named as well as those in formulas, and nothing is found
 /// where nothing is wrong.
 #[test]
+#[ignore = "takes minutes of two cores; `make test-long` runs it"]
 fn what_another_simulator_does_to_its_grains_is_named() {
     let folder = tempfile::tempdir().unwrap();
     for of in scored(folder.path(), &wanted_heaps(0..1), SIMULATIONS) {
@@ -200,6 +215,7 @@ fn what_is_hidden_in_the_emulated_spoon_is_named() {
 /// The kept campaigns of other grains are those that the grains make: each begins with the heaps
 /// of its first days, poured anew. `UPDATE=1` pours all days and writes them.
 #[test]
+#[ignore = "takes minutes of two cores; `make test-long` runs it"]
 fn kept_heaps_are_what_the_grains_make() {
     std::thread::scope(|scope| {
         for kind in heaps::Kind::ALL {

@@ -31,6 +31,7 @@ fn held_out(k: u64) -> ParameterSet {
 }
 
 #[test]
+#[ignore = "takes a minute of a core or more; `make laws` runs it"]
 fn held_out_heaps_are_where_the_emulator_says_as_often_as_it_says() {
     // Less than half of the product's heaps: its uncertainties have to be right at any size.
     let design = Design { runs: 100, initial: 64, round: 18, ..Design::with_particles(PARTICLES) };

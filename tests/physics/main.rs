@@ -24,6 +24,7 @@ fn angle(friction: f64, cohesion: f64, seeds: u64) -> (f64, f64) {
 }
 
 #[test]
+#[ignore = "takes a minute of a core or more; `make laws` runs it"]
 fn the_angle_of_repose_rises_with_friction_and_with_cohesion() {
     let cells: Vec<(usize, usize)> = (0..5).flat_map(|f| (0..5).map(move |c| (f, c))).collect();
     let grid: Vec<(f64, f64)> = cells

@@ -1,19 +1,10 @@
 //! The validation suite, as `flip validate` runs it: every law holds, or is missed as documented.
 //!
-//! Laws that take minutes of a core are run by `make laws` alone: their numbers can change only with
-//! the simulator, and recorded heaps and doses, which every run compares bit by
-//! bit, tell when it does.
+//! Laws that take long are run by `make laws` alone: their numbers can change only with the
+//! simulator, and recorded heaps and doses, which every run compares bit by bit, tell when it does.
 
 use flip_sim::validate::{Check, Suite, experiments};
 use rayon::prelude::*;
-
-/// As [`expect`], of experiments that take minutes of a core.
-fn expect_if_asked(names: &[&str]) {
-    match std::env::var_os("FLIP_LAWS") {
-        Some(_) => expect(names),
-        None => println!("skipped: {names:?} take minutes, and are run by `make laws`"),
-    }
-}
 
 /// Runs the named experiments and expects every check to be accounted for.
 fn expect(names: &[&str]) {
@@ -50,8 +41,9 @@ fn silos_empty_and_bear_load_as_beverloo_and_janssen_say() {
 }
 
 #[test]
+#[ignore = "takes minutes of a core; `make laws` runs it"]
 fn tall_released_columns_spread_like_sand() {
-    expect_if_asked(&["collapse_tall"]);
+    expect(&["collapse_tall"]);
 }
 
 #[test]
@@ -75,8 +67,9 @@ fn the_angle_of_repose_has_converged_in_the_substep() {
 }
 
 #[test]
+#[ignore = "takes minutes of a core; `make laws` runs it"]
 fn the_angle_of_repose_belongs_to_the_powder() {
-    expect_if_asked(&["repose_size", "repose_funnel"]);
+    expect(&["repose_size", "repose_funnel"]);
 }
 
 #[test]
@@ -85,13 +78,15 @@ fn the_angle_of_repose_never_falls_with_friction_cohesion_or_a_rougher_base() {
 }
 
 #[test]
+#[ignore = "takes a minute of a core or more; `make laws` runs it"]
 fn a_heap_rests_and_a_tilted_bed_flows_when_it_should() {
     expect(&["rest_free_flowing", "rest_cohesive", "tilted_bed"]);
 }
 
 #[test]
+#[ignore = "takes minutes of a core; `make laws` runs it"]
 fn a_dose_depends_on_the_substep_by_no_more_than_is_documented() {
-    expect_if_asked(&["dose_free_flowing", "dose_frictional"]);
+    expect(&["dose_free_flowing", "dose_frictional"]);
 }
 
 #[test]

@@ -36,22 +36,6 @@ export class Rows {
   }
 }
 
-/** Which element of the document each drawn row has. A row keeps its element for as long as it is drawn. */
-export class Slots {
-  #slots = new Map<string, number>()
-  #made = 0
-
-  /** The element of each of these rows, by number. To recycle: a row that comes takes one of a row that went, which costs less than a new one. */
-  of(keys: string[], recycle: boolean): number[] {
-    const stay = new Set(keys)
-    // In their order: then those that are scrolled out of sight move as one to the other edge.
-    const free = recycle ? [...this.#slots].filter(([key]) => !stay.has(key)).map(([, slot]) => slot) : []
-    const slots = keys.map((key) => this.#slots.get(key) ?? free.shift() ?? this.#made++)
-    this.#slots = new Map(keys.map((key, k) => [key, slots[k]!]))
-    return slots
-  }
-}
-
 /** The row at this height: the last whose top is not below it. */
 export function rowAt(tops: Float64Array, y: number): number {
   let [low, high] = [0, Math.max(0, tops.length - 2)]

@@ -81,7 +81,7 @@ const settled = (what) => page.waitForFunction(([caption, what]) => [...document
 describe('which rows are drawn', () => {
   it('are those that a viewport touches, and a bounded number more, whatever their heights', async () => {
     const vite = await createServer({ root: fileURLToPath(new URL('..', import.meta.url)), server: { middlewareMode: true, ws: false, watch: null }, appType: 'custom', logLevel: 'error' })
-    const { drawnRows, rowAt, Rows, Slots } = await vite.ssrLoadModule('/src/rows.ts')
+    const { drawnRows, rowAt, Rows } = await vite.ssrLoadModule('/src/rows.ts')
     let state = 1
     const random = () => (state = (state * 48271) % 2147483647) / 2147483647
     for (let round = 0; round < 200; round++) {
@@ -106,12 +106,6 @@ describe('which rows are drawn', () => {
     assert.equal(rows.measured([['a', 40], ['b', 40]]), true)
     assert.equal(rows.measured([['a', 40], ['b', 40]]), false, 'nothing moves twice')
     assert.deepEqual([...rows.tops(['a', 'b', 'not yet drawn'])], [0, 40, 80, 120])
-    const slots = new Slots()
-    assert.deepEqual(slots.of(['a', 'b', 'c', 'd'], true), [0, 1, 2, 3])
-    assert.deepEqual(slots.of(['c', 'd', 'e', 'f'], true), [2, 3, 0, 1], 'rows that stay keep theirs, the others take what is free')
-    assert.deepEqual(slots.of(['e'], true), [0])
-    assert.deepEqual(slots.of(['e', 'c', 'g'], true), [0, 4, 5], 'no two rows have the same')
-    assert.deepEqual(slots.of(['c', 'h'], false), [4, 6], 'a table drawn whole makes new ones')
     await vite.close()
   })
 
@@ -137,21 +131,6 @@ describe('which rows are drawn', () => {
       await picture(page, `table-${width}`)
     })
   }
-
-  it('take the elements of rows that went, and show nothing of them', async () => {
-    await listed(450)
-    await scrollTo(3000)
-    await table().locator('tr[data-key]').evaluateAll((rows) => rows.forEach((row) => (row.met = true)))
-    for (const top of [3400, 12_000, 2600]) {
-      await scrollTo(top)
-      const rows = await table().locator('tr[data-key]').evaluateAll((rows) => rows.map((row) => [row.dataset.key, row.met, row.querySelector('th a').hash, row.querySelector('input').ariaLabel, row.textContent]))
-      assert.ok(rows.filter(([, met]) => met).length > rows.length / 2, `${top}: ${rows.length}`)
-      for (const [key, , hash, pick, text] of rows) {
-        assert.equal(hash, `#/weighings/${key}`)
-        assert.ok(pick.includes(key) && text.includes(`V${Number(key.slice(1))}`), `${key}: ${pick}, ${text}`)
-      }
-    }
-  })
 
   it('can be reached by keys alone, row after row', async () => {
     await listed(250)
