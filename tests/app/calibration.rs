@@ -234,6 +234,7 @@ async fn ended_in_time(app: &App, id: &str) -> JobState {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "takes a minute and a half of a core; `make test-long` runs it"]
 async fn calibrations_share_one_emulator_that_is_built_once_also_when_it_is_interrupted() {
     let folder = tempfile::tempdir().unwrap();
     let simulated = Arc::new(AtomicUsize::new(0));
