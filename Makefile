@@ -27,7 +27,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-long test-python laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers cluster faults slim page-report pictures proto dist lint check tidy
+.PHONY: run test test-long test-python laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults slim page-report pictures proto dist lint check tidy
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -175,6 +175,9 @@ bench-workers: setup postgres
 	cargo bench --quiet --locked --bench workers -- $(ARGS)
 
 FLIP_BUILT = FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
+
+bench-database: setup postgres
+	cargo bench --quiet --locked --bench database -- $(ARGS)
 
 cluster: setup postgres
 	cargo build --release --locked --bin flip --example cluster
