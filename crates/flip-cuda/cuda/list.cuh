@@ -1,0 +1,239 @@
+// Building the list of neighbours. Grains are sorted into cells, each grain searches its cell and
+// the 26 around it, and the memory of touching pairs is carried over.
+//
+// A grain's path starts where it is and follows its velocity for `horizon` substeps. A pair is
+// listed if its paths come closer than the reach of a contact plus both grains' skins; the list is
+// valid until a grain strays from its path by more than its skin. The horizon is short enough that
+// grains further apart than a cell cannot come that close.
+#pragma once
+#include "state.cuh"
+
+constexpr float SKIN = 0.14f;      // as in flip-sim's neighbours.rs
+constexpr float HORIZON = 24.0f;
+constexpr float HOT2 = 1.1f;       // squared distance within which a pair is near
+constexpr float DRIFT_UNIT = 262144.0f;
+constexpr int RETRIES = 6;
+
+struct Cell { int x, y, z; };
+
+FN Cell cell_of(const Law& law, Vec x) {
+    float inverse = 1.0f / law.cell;
+    return Cell{
+        within(int((x.x - law.origin[0]) * inverse), 0, law.size[0] - 1),
+        within(int((x.y - law.origin[1]) * inverse), 0, law.size[1] - 1),
+        within(int((x.z - law.origin[2]) * inverse), 0, law.size[2] - 1),
+    };
+}
+
+FN int number_of(const Law& law, Cell c) { return (c.z * law.size[1] + c.y) * law.size[0] + c.x; }
+
+// Sorts the grains by cell and, within a cell, by their old place: `present` and `former`. Returns
+// how many there are still. Room for the grid is where the predictions lie.
+FN int sort(const Block& block, const Work& work, const Law& law, int grains) {
+    int cells = law.size[0] * law.size[1] * law.size[2];
+    int* counter = reinterpret_cast<int*>(work.p);
+    Place* members = reinterpret_cast<Place*>(counter + CELLS);
+    for (int c = block.thread; c < cells; c += block.threads) counter[c] = 0;
+    for (int k = block.thread; k < LISTED_LEFT; k += block.threads) work.tally[k] = 0;
+    block.barrier();
+    int drift[3] = {0, 0, 0};
+    for (int i = block.thread; i < grains; i += block.threads) {
+        Vec x = load3(work.x, i);
+        if (x.x > 0.5f * FAR) continue;
+        take_ticket(&counter[number_of(law, cell_of(law, x))], 1);
+        Vec v = load3(work.v, i);
+        drift[0] += int(v.x * DRIFT_UNIT);
+        drift[1] += int(v.y * DRIFT_UNIT);
+        drift[2] += int(v.z * DRIFT_UNIT);
+    }
+    for (int k = 0; k < 3; k++) block.add_up(&work.tally[DRIFT + k], drift[k]);
+    block.barrier();
+    // Each thread adds up a stretch of cells.
+    int stretch = (cells + block.threads - 1) / block.threads;
+    int from = least(block.thread * stretch, cells), to = least(from + stretch, cells);
+    int sum = 0;
+    for (int c = from; c < to; c++) sum += counter[c];
+    int start = block.before(sum, work.tally + WARPS);
+    for (int c = from; c < to; c++) {
+        int count = counter[c];
+        work.first[c] = Place(start);
+        counter[c] = start;
+        start += count;
+        if (c == cells - 1) work.first[cells] = Place(start);
+    }
+    block.barrier();
+    for (int i = block.thread; i < grains; i += block.threads) {
+        Vec x = load3(work.x, i);
+        if (x.x > 0.5f * FAR) continue;
+        members[take_ticket(&counter[number_of(law, cell_of(law, x))], 1)] = Place(i);
+    }
+    block.barrier();
+    for (int i = block.thread; i < grains; i += block.threads) {
+        Vec x = load3(work.x, i);
+        if (x.x > 0.5f * FAR) {
+            work.present[i] = NOBODY;
+            continue;
+        }
+        int c = number_of(law, cell_of(law, x)), rank = work.first[c];
+        for (int k = work.first[c]; k < work.first[c + 1]; k++) rank += members[k] < i;
+        work.present[i] = Place(rank);
+        work.former[rank] = Place(i);
+    }
+    block.barrier();
+    return work.first[cells];
+}
+
+// The grains in touch with one grain, packed by twos so that a search need not look them up.
+struct Carried {
+    Bits pairs[8];
+    int count;
+};
+
+FN void remember(Carried& carried, int j) {
+#if defined(__CUDACC__)
+#pragma unroll
+#endif
+    for (int k = 0; k < 8; k++) {
+        if (k == carried.count >> 1) {
+            carried.pairs[k] =
+                carried.count & 1 ? (carried.pairs[k] & 0xffff) | Bits(j) << 16 : 0xffff0000u | Bits(j);
+        }
+    }
+    carried.count++;
+}
+
+FN bool is_carried(const Carried& carried, int j) {
+    Bits twice = Bits(j) | Bits(j) << 16, found = 0;
+#if defined(__CUDACC__)
+#pragma unroll
+#endif
+    for (int k = 0; k < 8; k++) {
+        Bits difference = carried.pairs[k] ^ twice;
+        found |= (difference - 0x00010001u) & ~difference & 0x80008000u;
+    }
+    return found != 0;
+}
+
+// Whether the paths of two grains come closer than `near2` allows.
+FN bool meet(Vec r, Vec u, float rr, float near2, float horizon) {
+    float ru = dot(r, u), uu = dot(u, u);
+    float end = rr + horizon * (ru + ru + horizon * uu);
+    float approach = 0.0f - ru;
+    bool between = 0.0f < approach && approach < uu * horizon;
+    return smaller(rr, end) < near2 || (between && rr * uu - ru * ru < near2 * uu);
+}
+
+// Lists the neighbours of the grain now at place `i`; returns whether they were too many.
+FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now, int i,
+               float horizon) {
+    int old = work.former[i];
+    Vec x = first3(work.p[i]), v = first3(work.c[i]);
+    float near = 1.0f + law.grain.reach + 2.0f * SKIN, near2 = near * near;
+    Carried carried;
+    carried.count = 0;
+    for (int k = 0; k < 8; k++) carried.pairs[k] = 0xffffffffu;
+    // Touching pairs come first, with their memory.
+    for (Bits left = was.touching[old]; left != 0 && carried.count < 16; left &= left - 1) {
+        int slot = lowest(left);
+        int j = work.present[neighbour(was, slot, old)];
+        if (j == NOBODY) continue;
+        set_neighbour(now, carried.count, i, j);
+        now.anchors[carried.count][i] = was.anchors[slot][old];
+        remember(carried, j);
+    }
+    int hot = carried.count, later = 0;
+    bool crowded = false;
+    Cell at = cell_of(law, x);
+    int low = most(at.x - 1, 0), high = least(at.x + 1, law.size[0] - 1);
+    for (int row = 0; row < 9; row++) {
+        int y = at.y + row % 3 - 1, z = at.z + row / 3 - 1;
+        if (y < 0 || y >= law.size[1] || z < 0 || z >= law.size[2]) continue;
+        int line = (z * law.size[1] + y) * law.size[0];
+        int from = work.first[line + low], end = work.first[line + high + 1];
+        while (from < end) {
+            int count = least(end - from, 32);
+            Bits hits = 0;
+            for (int k = 0; k < count; k++) {
+                Vec r = sub(x, first3(work.p[from + k]));
+                Vec u = sub(v, first3(work.c[from + k]));
+                if (meet(r, u, dot(r, r), near2, horizon)) hits |= 1u << k;
+            }
+            if (from <= i && i < from + count) hits &= ~(1u << (i - from));
+            for (; hits != 0; hits &= hits - 1) {
+                int j = from + lowest(hits);
+                if (is_carried(carried, j)) continue;
+                Vec r = sub(x, first3(work.p[j]));
+                bool is_hot = dot(r, r) < HOT2;
+                int more_hot = hot + is_hot, more_later = later + !is_hot;
+                if (((more_hot + 3) >> 2) + ((more_later + 3) >> 2) > WORDS) {
+                    crowded = true;
+                    continue;
+                }
+                set_neighbour(now, is_hot ? hot : later_slot(later), i, j);
+                hot = more_hot;
+                later = more_later;
+            }
+            from += count;
+        }
+    }
+    now.touching[i] = carried.count >= 32 ? 0xffffffffu : (1u << carried.count) - 1;
+    now.count[i] = Bits(hot) | Bits(later) << 8;
+    return crowded;
+}
+
+// Sorts the grains and builds the list. Returns the horizon for which it holds.
+FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoon, int& grains,
+               int& fault) {
+    const Memory& was = spoon.memory[spoon.head.generation];
+    Memory& now = spoon.memory[1 - spoon.head.generation];
+    grains = sort(block, work, law, grains);
+    for (int i = block.thread; i < grains; i += block.threads) {
+        int old = work.former[i];
+        work.p[i] = with(load3(work.x, old), work.c[old].w);
+    }
+    block.barrier();
+    // The bulk's velocity, so that a spoonful that slides as one is not fast.
+    float share = 1.0f / (DRIFT_UNIT * float(most(grains, 1)));
+    Vec drift = vec(float(work.tally[DRIFT]) * share, float(work.tally[DRIFT + 1]) * share,
+                    float(work.tally[DRIFT + 2]) * share);
+    float fastest2 = 0.0f;
+    for (int i = block.thread; i < grains; i += block.threads) {
+        int old = work.former[i];
+        Vec v = load3(work.v, old);
+        work.c[i] = with(v, 0.0f);
+        Vec off = sub(v, drift);
+        fastest2 = larger(dot(off, off), fastest2);
+        now.id[i] = was.id[old];
+        now.wall[i] = was.wall[old];
+        spoon.start[i] = with(first3(work.p[i]), 0.0f);
+        spoon.pace[i] = with(v, 0.0f);
+    }
+    block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2)));
+    block.barrier();
+    float fastest = root(float_of(Bits(work.tally[FASTEST])));
+    float spare = 0.5f * (law.cell - (1.0f + law.grain.reach + 2.0f * SKIN));
+    float horizon = smaller(HORIZON, spare / larger(fastest, NEAREST));
+    int tries = 0;
+    for (bool crowded = true; crowded && tries < RETRIES; tries++) {
+        if (tries > 0) horizon *= 0.5f;
+        bool mine = false;
+        for (int i = block.thread; i < grains; i += block.threads) {
+            if (search(work, law, was, now, i, horizon)) mine = true;
+        }
+        crowded = block.any(mine);
+        if (crowded && tries == RETRIES - 1) fault = OVERFULL;
+    }
+    for (int i = block.thread; i < grains; i += block.threads) {
+        store3(work.x, i, first3(work.p[i]));
+        store3(work.v, i, first3(work.c[i]));
+        work.c[i].w = work.p[i].w;
+    }
+    if (block.thread == 0) {
+        spoon.head.generation = 1 - spoon.head.generation;
+        spoon.head.rebuilds++;
+        spoon.head.crowded += tries - 1;
+        work.tally[LISTED_LEFT] = 0;
+    }
+    block.barrier();
+    return horizon;
+}

@@ -1,0 +1,56 @@
+// The kernels: a block for each job, in the order given. `flip_spoons` needs 162 KB of shared memory,
+// `flip_spoons_small` 87 KB and keeps the rest in a room of its own in the card's memory.
+#include "spoon.cuh"
+
+constexpr int ROOM = 7 * 4 * GRAINS;  // bytes of `c` and `x`
+
+extern "C" __device__ unsigned flip_layout[] = {
+    sizeof(Law), sizeof(Head), sizeof(Memory), sizeof(Spoon), sizeof(Part), sizeof(Job),
+    sizeof(Outcome), sizeof(Departed),
+};
+
+template <bool SMALL>
+FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
+               const float2* bodies, int* rests, int* lost, Departed* departed,
+               Outcome* outcomes, char* room) {
+    extern __shared__ float4 shared[];
+    __shared__ int tally[TALLIES];
+    __shared__ Law law;
+    Job job = jobs[blockIdx.x];
+    Block block = Block{int(threadIdx.x), int(blockDim.x)};
+    if (block.thread == 0) law = laws[job.law];
+    Work work;
+    work.p = shared;
+    float* rest = reinterpret_cast<float*>(shared + GRAINS);
+    work.v = rest;
+    rest += 3 * GRAINS;
+    if (SMALL) {
+        char* mine = room + size_t(ROOM) * blockIdx.x;
+        work.c = reinterpret_cast<float4*>(mine);
+        work.x = reinterpret_cast<float*>(mine + 4 * 4 * GRAINS);
+    } else {
+        work.c = reinterpret_cast<float4*>(rest);
+        work.x = rest + 4 * GRAINS;
+        rest += 7 * GRAINS;
+    }
+    work.present = reinterpret_cast<Place*>(rest);
+    work.former = work.present + GRAINS;
+    work.first = work.former + GRAINS;
+    work.tally = tally;
+    block.barrier();
+    work_on(block, work, law, all[job.spoon], job, parts, bodies, rests,
+            Losses{lost, departed}, outcomes[job.place]);
+}
+
+#define PARAMETERS \
+    const Job *jobs, const Law *laws, Spoon *all, const Part *parts, const float2 *bodies, \
+        int *rests, int *lost, Departed *departed, Outcome *outcomes, char *room
+#define ARGUMENTS jobs, laws, all, parts, bodies, rests, lost, departed, outcomes, room
+
+extern "C" __global__ void __launch_bounds__(896, 1) flip_spoons(PARAMETERS) {
+    spoons<false>(ARGUMENTS);
+}
+
+extern "C" __global__ void __launch_bounds__(896, 1) flip_spoons_small(PARAMETERS) {
+    spoons<true>(ARGUMENTS);
+}
