@@ -5,7 +5,8 @@
 
 // One kind of contact; shares are of one substep and one side.
 struct Strengths {
-    float normal, normal_damping;          // share of an overlap, of an approach velocity
+    float normal, normal_damping;          // share of an overlap, of an approach velocity (damping
+                                           // of pairs: times the drag, for velocities before it)
     float tangential, looseness;           // share of a stretch, and its inverse
     float tangential_damping, friction;    // share of a slip velocity, Coulomb's coefficient
     float attraction, inverse_ramp;        // of touching bodies; 1 / (reach - onset)
@@ -48,13 +49,12 @@ struct Held {
 };
 
 // Tangential correction from the stretch since the contact last stuck, up to Coulomb's limit; a
-// contact that slips takes its anchor along, so that the next substep starts at the limit.
-FN Held stick(Vec offset, Vec anchor, Vec velocity, Vec normal, float opening, float share,
-              float limit, const Strengths& c) {
-    Vec stretch = sub(offset, anchor);
-    Vec s = sub(stretch, scale(normal, dot(stretch, normal)));
-    Vec w = sub(velocity, scale(normal, opening));
-    Vec t = add(scale(s, c.tangential), scale(w, c.tangential_damping * share));
+// contact that slips takes its anchor along, so that the next substep starts at the limit. Stretch
+// and slip velocity are weighed first and freed of their normal part together.
+FN Held stick(Vec offset, Vec anchor, Vec velocity, Vec normal, float damping, float limit,
+              const Strengths& c) {
+    Vec pull = add(scale(sub(offset, anchor), c.tangential), scale(velocity, damping));
+    Vec t = sub(pull, scale(normal, dot(pull, normal)));
     float t2 = dot(t, t);
     if (!(limit * limit < t2)) return Held{t, anchor, false};
     t = scale(t, limit * inverse_root(t2));
@@ -99,18 +99,15 @@ FN bool has_left(const Law& law, Vec p) {
 // Share of the damping of a grain with so many contacts.
 FN float share_of(float contacts) { return inverse_root(larger(1.0f, contacts)); }
 
-// Anchors of pairs are kept as three fixed-point numbers of 21 bits: 1.4e-6 diameters, about what a
-// float resolves at the rim of a spoon. The rounding is the same for both signs, so both grains of
-// a pair keep exactly opposite anchors.
-constexpr float ANCHOR_MAX = 1.49f;
-constexpr float ANCHOR_SCALE = 699050.0f;
+// Anchors of pairs are kept as three fixed-point numbers of 21 bits: 1.9e-6 diameters, what a float
+// resolves beyond 16 diameters. The rounding is the same for both signs, so both grains of a pair
+// keep exactly opposite anchors. The range is 2 to both sides, which only contacts that slip at
+// metres per second leave; what they remember then is limited by Coulomb's law like anything else.
+constexpr float ANCHOR_SCALE = 524288.0f;  // 2^19: products with it are exact
 constexpr float ANCHOR_ZERO = 9437184.0f;  // 2^23 + 2^20: the lowest 21 bits are the number
 constexpr Bits ANCHOR_BITS = 0x1fffff;
 
-FN Bits pack_one(float a) {
-    float kept = larger(-ANCHOR_MAX, smaller(ANCHOR_MAX, a));
-    return bits_of(kept * ANCHOR_SCALE + ANCHOR_ZERO) & ANCHOR_BITS;
-}
+FN Bits pack_one(float a) { return bits_of(a * ANCHOR_SCALE + ANCHOR_ZERO) & ANCHOR_BITS; }
 
 FN uint2 pack(Vec a) {
     Bits x = pack_one(a.x), y = pack_one(a.y), z = pack_one(a.z);
@@ -118,7 +115,8 @@ FN uint2 pack(Vec a) {
 }
 
 FN float unpack_one(Bits number) {
-    return (float_of(0x4b000000u | (number & ANCHOR_BITS)) - ANCHOR_ZERO) * (1.0f / ANCHOR_SCALE);
+    return float_of(0x4b000000u | (number & ANCHOR_BITS)) * (1.0f / ANCHOR_SCALE)
+        - ANCHOR_ZERO / ANCHOR_SCALE;
 }
 
 FN Vec unpack(uint2 a) {

@@ -135,9 +135,9 @@ FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now,
     // Touching pairs come first, with their memory.
     for (Bits left = was.touching[old]; left != 0 && carried.count < 16; left &= left - 1) {
         int slot = lowest(left);
-        int j = work.present[neighbour(was, slot, old)];
+        int j = work.present[was.slots[slot][old]];
         if (j == NOBODY) continue;
-        set_neighbour(now, carried.count, i, j);
+        now.slots[carried.count][i] = Place(j);
         now.anchors[carried.count][i] = was.anchors[slot][old];
         remember(carried, j);
     }
@@ -164,14 +164,13 @@ FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now,
                 if (is_carried(carried, j)) continue;
                 Vec r = sub(x, first3(work.p[j]));
                 bool is_hot = dot(r, r) < HOT2;
-                int more_hot = hot + is_hot, more_later = later + !is_hot;
-                if (((more_hot + 3) >> 2) + ((more_later + 3) >> 2) > WORDS) {
+                if (hot + later == SLOTS) {
                     crowded = true;
                     continue;
                 }
-                set_neighbour(now, is_hot ? hot : later_slot(later), i, j);
-                hot = more_hot;
-                later = more_later;
+                now.slots[is_hot ? hot : SLOTS - 1 - later][i] = Place(j);
+                hot += is_hot;
+                later += !is_hot;
             }
             from += count;
         }

@@ -29,8 +29,13 @@ FN Vec add(Vec a, Vec b) { return vec(a.x + b.x, a.y + b.y, a.z + b.z); }
 FN Vec sub(Vec a, Vec b) { return vec(a.x - b.x, a.y - b.y, a.z - b.z); }
 FN Vec scale(Vec a, float k) { return vec(a.x * k, a.y * k, a.z * k); }
 FN float dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+#if defined(__CUDACC__)
+FN float larger(float a, float b) { return fmaxf(a, b); }
+FN float smaller(float a, float b) { return fminf(a, b); }
+#else
 FN float larger(float a, float b) { return a > b ? a : b; }
 FN float smaller(float a, float b) { return a < b ? a : b; }
+#endif
 FN int least(int a, int b) { return a < b ? a : b; }
 FN int most(int a, int b) { return a > b ? a : b; }
 FN int within(int x, int low, int high) { return least(most(x, low), high); }

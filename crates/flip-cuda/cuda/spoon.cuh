@@ -15,46 +15,61 @@ struct Seen {
     Vec v;
 };
 
-// Adds the neighbours of one tier: near ones, or those that may come near.
-FN void add_tier(const Work& work, const Law& law, Memory& memory, int i, const Seen& me,
-                 Bits touched, int count, int word, int step, Bits& touching, Sum& sum) {
+// What does not change within a substep.
+struct Pairs {
+    Strengths c;
+    float near2, onset;            // squared distance of any force; distance at which touch begins
+};
+
+// Adds a neighbour. Returns whether it touches; `anchor` is only read if it did so before.
+FN bool add_pair(const Work& work, const Pairs& law, const Seen& me, int j, bool touched,
+                 uint2 anchor, uint2* keep, Sum& sum) {
+    const Strengths& c = law.c;
+    float4 other = work.p[j];
+    Vec offset = sub(me.p, first3(other));
+    float distance2 = dot(offset, offset);
+    if (!(distance2 < law.near2)) return false;
+    float inverse = inverse_root(distance2);
+    Vec normal = scale(offset, inverse);
+    float gap = distance2 * inverse - law.onset;
+    float along = 0.0f - attract(gap, c);
+    bool touches = gap < 0.0f;
+    if (touches) {
+        Vec velocity = sub(me.v, load3(work.v, j));
+        float share = me.share * other.w;
+        float push =
+            separate(gap, dot(velocity, normal), c.normal, c.normal_damping * share);
+        Vec stuck = touched ? unpack(anchor) : offset;
+        Held held = stick(offset, stuck, velocity, normal, c.tangential_damping * share,
+                          c.friction * push, c);
+        if (!touched || held.slips) *keep = pack(held.anchor);
+        along += push;
+        sum.contacts += 1.0f;
+        sum.correction = sub(sum.correction, held.correction);
+    }
+    sum.correction = add(sum.correction, scale(normal, along));
+    return touches;
+}
+
+// Adds the neighbours in `count` slots from `first` on, upwards or downwards.
+template <int STEP>
+FN void add_tier(const Work& work, const Pairs& law, Memory& memory, int i, const Seen& me,
+                 int first, int count, Bits touched, Bits& touching, Sum& sum) {
     if (count == 0) return;
-    const Strengths& c = law.grain;
-    float near2 = (1.0f + c.reach) * (1.0f + c.reach), onset = 1.0f + c.onset;
-    uint2 ids = memory.slots[word][i], ahead = ids;
-    for (int k = 0; k < count; k++) {
-        int lane = k & 3;
-        if (lane == 0 && k + 4 < count) ahead = memory.slots[word + step][i];
-        int j = int(ids.x & 0xffff), slot = 4 * word + lane;
-        ids.x = ids.x >> 16 | ids.y << 16;
-        ids.y >>= 16;
-        if (lane == 3) {
-            ids = ahead;
-            word += step;
-        }
-        float4 other = work.p[j];
-        Vec offset = sub(me.p, first3(other));
-        float distance2 = dot(offset, offset);
-        if (!(distance2 < near2)) continue;
-        float inverse = inverse_root(distance2);
-        Vec normal = scale(offset, inverse);
-        float gap = distance2 * inverse - onset;
-        float along = 0.0f - attract(gap, c);
-        if (gap < 0.0f) {
-            touching |= 1u << slot;
-            sum.contacts += 1.0f;
-            Vec velocity = scale(sub(me.v, load3(work.v, j)), law.drag);
-            float opening = dot(velocity, normal), share = me.share * other.w;
-            float push = separate(gap, opening, c.normal, c.normal_damping * share);
-            bool is_new = (touched >> slot & 1) == 0;
-            Vec anchor = is_new ? offset : unpack(memory.anchors[slot][i]);
-            Held held =
-                stick(offset, anchor, velocity, normal, opening, share, c.friction * push, c);
-            if (is_new || held.slips) memory.anchors[slot][i] = pack(held.anchor);
-            along += push;
-            sum.correction = sub(sum.correction, held.correction);
-        }
-        sum.correction = add(sum.correction, scale(normal, along));
+    const Place* slot = &memory.slots[first][i];
+    uint2* keep = &memory.anchors[first][i];
+    int next = *slot;
+    for (Bits bit = 1u << first; count > 0; count--) {
+        int j = next;
+        slot += STEP * GRAINS;
+        // The next neighbour and this one's anchor are fetched while this one is computed.
+        if (count > 1) next = *slot;
+        bool was = (touched & bit) != 0;
+        uint2 anchor = make_uint2(0, 0);
+        if (was) anchor = *keep;
+        if (add_pair(work, law, me, j, was, anchor, keep, sum)) touching |= bit;
+        keep += STEP * GRAINS;
+        bit = STEP > 0 ? bit << 1 : bit >> 1;
     }
 }
 
@@ -76,8 +91,8 @@ FN void add_wall(const Law& law, Memory& memory, int i, const Seen& me, Vec u, S
         float4 kept = memory.wall[i];
         bool is_new = !(kept.w > 0.0f);
         Vec anchor = is_new ? me.p : first3(kept);
-        Held held =
-            stick(me.p, anchor, u, near.normal, opening, me.share, c.friction * push, c);
+        Held held = stick(me.p, anchor, u, near.normal, c.tangential_damping * me.share,
+                          c.friction * push, c);
         if (is_new || held.slips) memory.wall[i] = with(held.anchor, 1.0f);
         along += push;
         sum.contacts += 1.0f;
@@ -94,6 +109,8 @@ FN Vec coasting(Vec v, const Law& law, float2 body) {
 FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spoon, int grains,
                 float2 body) {
     Memory& memory = spoon.memory[spoon.head.generation];
+    float reach = 1.0f + law.grain.reach;
+    Pairs pairs = Pairs{law.grain, reach * reach, 1.0f + law.grain.onset};
     for (int i = block.thread; i < grains; i += block.threads) {
         float4 p = work.p[i];
         if (p.x > 0.5f * FAR) {
@@ -103,8 +120,8 @@ FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spo
         Seen me = Seen{first3(p), p.w, load3(work.v, i)};
         Bits count = memory.count[i], touched = memory.touching[i], touching = 0;
         Sum sum = Sum{vec(0.0f, 0.0f, 0.0f), 0.0f};
-        add_tier(work, law, memory, i, me, touched, count & 0xff, 0, 1, touching, sum);
-        add_tier(work, law, memory, i, me, touched, count >> 8, WORDS - 1, -1, touching, sum);
+        add_tier<1>(work, pairs, memory, i, me, 0, count & 0xff, touched, touching, sum);
+        add_tier<-1>(work, pairs, memory, i, me, SLOTS - 1, count >> 8, touched, touching, sum);
         if (touching != touched) memory.touching[i] = touching;
         add_wall(law, memory, i, me, coasting(me.v, law, body), sum);
         work.c[i] = with(sum.correction, sum.contacts);
@@ -113,7 +130,8 @@ FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spo
 
 // What happens besides the motion after a substep.
 struct Check {
-    bool collects;                 // grains that left are taken out
+    bool collects;                 // grains that left are taken out, and speeds looked at
+    bool predicts;                 // the next substep's acceleration is known
     int place, part, substep;      // as in `Departed`
 };
 
@@ -129,10 +147,47 @@ FN void note(const Work& work, const Losses& losses, const Check& check, Vec x, 
     store3(gone.v, 0, v);
 }
 
-// Moves every grain, and takes out those that left. Returns the largest squared speed of this
-// thread's grains.
-FN float move(const Block& block, const Work& work, const Law& law, int grains, float2 body,
-              const Check& check, const Losses& losses) {
+// The prediction for one grain; returns whether it strayed from its path.
+FN bool predict_one(const Work& work, const Law& law, const Spoon& spoon, int i, Vec x, Vec v,
+                    float contacts, float2 body, float time) {
+    Vec p = add(x, coasting(v, law, body));
+    work.p[i] = with(p, share_of(contacts));
+    Vec path = add(first3(spoon.start[i]), scale(first3(spoon.pace[i]), time));
+    Vec off = sub(p, path);
+    return !(dot(off, off) < SKIN * SKIN);
+}
+
+// A spoon at work: what all threads of its block know alike.
+struct Run {
+    int grains, fault, substeps;
+    float age, horizon;            // of the list, substeps
+    bool is_predicted, strayed;    // whether the next prediction is made, and with what result
+};
+
+FN float ahead(const Run& run) { return smaller(run.age + 1.0f, run.horizon); }
+
+// Predicts the state without contacts; returns whether one of this thread's grains strayed from its
+// path.
+FN bool predict(const Block& block, const Work& work, const Law& law, const Spoon& spoon,
+                const Run& run, float2 body) {
+    bool strayed = false;
+    float time = ahead(run);
+    for (int i = block.thread; i < run.grains; i += block.threads) {
+        Vec x = load3(work.x, i);
+        if (x.x > 0.5f * FAR) {
+            work.p[i] = make_float4(FAR, FAR, FAR, 1.0f);
+            continue;
+        }
+        Vec v = load3(work.v, i);
+        strayed |= predict_one(work, law, spoon, i, x, v, work.c[i].w, body, time);
+    }
+    return strayed;
+}
+
+// Moves every grain and, if asked to, takes out those that left. Returns the largest squared speed of
+// this thread's grains.
+FN float collect(const Block& block, const Work& work, const Law& law, int grains, float2 body,
+                 const Check& check, const Losses& losses) {
     float fastest2 = 0.0f;
     for (int i = block.thread; i < grains; i += block.threads) {
         Vec x = load3(work.x, i);
@@ -154,52 +209,51 @@ FN float move(const Block& block, const Work& work, const Law& law, int grains, 
     return fastest2;
 }
 
-// Predicts the state without contacts; returns whether one of this thread's grains strayed from its
-// path.
-FN bool predict(const Block& block, const Work& work, const Law& law, const Spoon& spoon,
-                int grains, float2 body, float age, float horizon) {
+// Moves every grain and predicts the next substep, whose acceleration is `next`. Returns whether one
+// of this thread's grains strayed from its path.
+FN bool move(const Block& block, const Work& work, const Law& law, const Spoon& spoon,
+             const Run& run, float2 body, float2 next) {
     bool strayed = false;
-    float time = smaller(age + 1.0f, horizon);
-    for (int i = block.thread; i < grains; i += block.threads) {
+    float time = ahead(run);
+    for (int i = block.thread; i < run.grains; i += block.threads) {
         Vec x = load3(work.x, i);
-        float share = share_of(work.c[i].w);
-        if (x.x > 0.5f * FAR) {
-            work.p[i] = make_float4(FAR, FAR, FAR, 1.0f);
-            continue;
-        }
-        Vec p = add(x, coasting(load3(work.v, i), law, body));
-        work.p[i] = with(p, share);
-        Vec path = add(first3(spoon.start[i]), scale(first3(spoon.pace[i]), time));
-        Vec off = sub(p, path);
-        if (!(dot(off, off) < SKIN * SKIN)) strayed = true;
+        if (x.x > 0.5f * FAR) continue;
+        float4 c = work.c[i];
+        Vec v = add(coasting(load3(work.v, i), law, body), first3(c));
+        x = add(x, v);
+        store3(work.x, i, x);
+        store3(work.v, i, v);
+        strayed |= predict_one(work, law, spoon, i, x, v, c.w, next, time);
     }
     return strayed;
 }
 
-// A spoon at work: what all threads of its block know alike.
-struct Run {
-    int grains, fault, substeps;
-    float age, horizon;
-};
-
-// One substep. Returns the largest squared speed, only if grains that left are collected.
+// One substep. If asked to, it goes on to predict the next one, whose acceleration is `next`, or
+// collects the grains that left and returns the largest squared speed.
 FN float substep(const Block& block, const Work& work, const Law& law, Spoon& spoon, Run& run,
-                 float2 body, const Check& check, const Losses& losses) {
-    bool strayed = run.age < 0.0f
-        || block.any(predict(block, work, law, spoon, run.grains, body, run.age, run.horizon));
-    if (run.age < 0.0f) block.barrier();
-    if (strayed) {
+                 float2 body, float2 next, const Check& check, const Losses& losses) {
+    if (!run.is_predicted) {
+        // A list of no age does not exist yet.
+        run.strayed =
+            block.any(run.age < 0.0f || predict(block, work, law, spoon, run, body));
+    }
+    if (run.strayed) {
         run.horizon = build(block, work, law, spoon, run.grains, run.fault);
         run.age = 0.0f;
-        predict(block, work, law, spoon, run.grains, body, 0.0f, run.horizon);
+        predict(block, work, law, spoon, run, body);
         block.barrier();
     }
     correct(block, work, law, spoon, run.grains, body);
     if (check.collects && block.thread == 0) work.tally[FASTEST] = 0;
     block.barrier();
-    float fastest2 = move(block, work, law, run.grains, body, check, losses);
     run.age += 1.0f;
     run.substeps++;
+    run.is_predicted = check.predicts;
+    if (check.predicts) {
+        run.strayed = block.any(move(block, work, law, spoon, run, body, next));
+        return 0.0f;
+    }
+    float fastest2 = collect(block, work, law, run.grains, body, check, losses);
     if (!check.collects) return 0.0f;
     // NaN has more bits than any number.
     block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2) & 0x7fffffffu));
@@ -224,9 +278,13 @@ FN void carry_out(const Block& block, const Work& work, const Law& law, Spoon& s
                 break;
             }
             int in_slice = (moves ? k : spent) % law.slice;
-            Check check = Check{in_slice == law.slice - 1, job.place, part, moves ? k : -1};
+            bool collects = in_slice == law.slice - 1;
+            // After a check rest may end, and after a motion without rest another one begins.
+            bool predicts = !collects && (k + 1 != todo.substeps || todo.rest_max > 0);
+            Check check = Check{collects, predicts, job.place, part, moves ? k : -1};
             float2 body = moves ? bodies[todo.first + k] : standing;
-            float fastest2 = substep(block, work, law, spoon, run, body, check, losses);
+            float2 next = k + 1 < todo.substeps ? bodies[todo.first + k + 1] : standing;
+            float fastest2 = substep(block, work, law, spoon, run, body, next, check, losses);
             if (!moves && check.collects) {
                 calm = fastest2 < law.rest_speed2 ? calm + law.slice : 0;
             }
@@ -239,7 +297,7 @@ FN void carry_out(const Block& block, const Work& work, const Law& law, Spoon& s
 FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spoon,
                 const Job& job, const Part* parts, const float2* bodies, int* rests,
                 const Losses& losses, Outcome& outcome) {
-    Run run = Run{spoon.head.grains, spoon.head.fault, 0, -1.0f, 0.0f};
+    Run run = Run{spoon.head.grains, spoon.head.fault, 0, -1.0f, 0.0f, false, false};
     for (int i = block.thread; i < run.grains; i += block.threads) {
         store3(work.x, i, first3(spoon.x[i]));
         store3(work.v, i, first3(spoon.v[i]));

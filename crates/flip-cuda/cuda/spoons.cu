@@ -16,12 +16,20 @@ FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
     extern __shared__ float4 shared[];
     __shared__ int tally[TALLIES];
     __shared__ Law law;
+    __shared__ volatile unsigned begin;
     Job job = jobs[blockIdx.x];
     Block block = Block{int(threadIdx.x), int(blockDim.x)};
-    if (block.thread == 0) law = laws[job.law];
+    if (block.thread == 0) {
+        law = laws[job.law];
+        begin = unsigned(__cvta_generic_to_shared(shared));
+    }
+    block.barrier();
+    // Read back, the address is a number that the compiler keeps in a register; otherwise it asks a
+    // special register for it before every access.
+    float4* base = reinterpret_cast<float4*>(__cvta_shared_to_generic(begin));
     Work work;
-    work.p = shared;
-    float* rest = reinterpret_cast<float*>(shared + GRAINS);
+    work.p = base;
+    float* rest = reinterpret_cast<float*>(base + GRAINS);
     work.v = rest;
     rest += 3 * GRAINS;
     if (SMALL) {
@@ -37,7 +45,6 @@ FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
     work.former = work.present + GRAINS;
     work.first = work.former + GRAINS;
     work.tally = tally;
-    block.barrier();
     work_on(block, work, law, all[job.spoon], job, parts, bodies, rests,
             Losses{lost, departed}, outcomes[job.place]);
 }

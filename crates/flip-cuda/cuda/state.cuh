@@ -4,7 +4,6 @@
 
 constexpr int GRAINS = 2560;       // room for grains
 constexpr int SLOTS = 32;          // room for neighbours of a grain
-constexpr int WORDS = SLOTS / 4;   // slots by fours, so that one load fetches four neighbours
 constexpr int CELLS = 4096;        // room for cells of the grid
 constexpr Place NOBODY = 0xffff;
 constexpr float FAR = 1.0e6f;      // coordinate of a grain that has left
@@ -30,7 +29,7 @@ struct Memory {
     unsigned id[GRAINS];
     Bits touching[GRAINS];         // slots in contact
     Bits count[GRAINS];            // neighbours: near now, and << 8 those that may come near
-    uint2 slots[WORDS][GRAINS];    // near ones from the first word up, the others from the last down
+    Place slots[SLOTS][GRAINS];    // near ones from the first slot up, the others from the last down
     uint2 anchors[SLOTS][GRAINS];
 };
 
@@ -103,18 +102,3 @@ FN void store3(float* to, int i, Vec a) {
 }
 FN Vec first3(float4 a) { return vec(a.x, a.y, a.z); }
 FN float4 with(Vec a, float w) { return make_float4(a.x, a.y, a.z, w); }
-
-// The neighbour in a slot.
-FN Place neighbour(const Memory& memory, int slot, int i) {
-    uint2 word = memory.slots[slot >> 2][i];
-    Bits half = slot & 2 ? word.y : word.x;
-    return Place(slot & 1 ? half >> 16 : half & 0xffff);
-}
-
-FN void set_neighbour(Memory& memory, int slot, int i, int j) {
-    Place* word = reinterpret_cast<Place*>(&memory.slots[slot >> 2][i]);
-    word[slot & 3] = Place(j);
-}
-
-// The slot of the k-th neighbour that may come near.
-FN int later_slot(int k) { return 4 * (WORDS - 1 - (k >> 2)) + (k & 3); }

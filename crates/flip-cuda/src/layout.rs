@@ -39,8 +39,7 @@ const HEADROOM: f32 = 10.0;
 /// Kept between the wall's reach and the shapes in which no wall is looked for, grain diameters.
 const CLEARANCE: f32 = 0.02;
 /// Fixed point of pairs' anchors, as in `cuda/law.cuh`.
-const ANCHOR_MAX: f32 = 1.49;
-const ANCHOR_SCALE: f32 = 699_050.0;
+const ANCHOR_SCALE: f32 = 524_288.0;
 const ANCHOR_ZERO: f32 = 9_437_184.0;
 const ANCHOR_BITS: u32 = 0x1f_ffff;
 
@@ -49,7 +48,12 @@ pub(crate) fn law(spoon: &Spoon) -> Vec<u32> {
     let [a, b, c] = spoon.semi_axes;
     let mut words = Vec::with_capacity(LAW);
     let mut tell = |numbers: &[f32]| words.extend(numbers.iter().map(|x| x.to_bits()));
-    tell(&strengths(&spoon.grain));
+    // Pairs are given velocities before the drag.
+    tell(&strengths(&Strengths {
+        normal_damping: spoon.grain.normal_damping * spoon.drag,
+        tangential_damping: spoon.grain.tangential_damping * spoon.drag,
+        ..spoon.grain
+    }));
     tell(&strengths(&spoon.wall));
     let within = |axis: f32| (1.0 - (0.5 + spoon.wall.reach + CLEARANCE) / axis).max(0.0).powi(2);
     tell(&[spoon.drag, 1.0 / (a * a), 1.0 / (b * b), 1.0 / (c * c), c]);
@@ -111,8 +115,7 @@ pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
                 return None;
             }
             counts[me] += 1;
-            let place = slot_word(slot, me);
-            words[place] |= (other as u32) << (16 * (slot & 1));
+            words[slot_word(slot, me)] |= (other as u32) << (16 * (me & 1));
             let [low, high] = pack(anchor.map(|x| sign * x));
             let place = anchor_word(slot, me);
             words[place] = low;
@@ -134,7 +137,7 @@ fn set(words: &mut [u32], at: usize, numbers: [f32; 4]) {
 
 /// The word that holds grain `i`'s neighbour in a slot, by twos.
 fn slot_word(slot: usize, i: usize) -> usize {
-    MEMORIES + 7 * GRAINS + 2 * (slot / 4 * GRAINS + i) + (slot % 4) / 2
+    MEMORIES + 7 * GRAINS + (slot * GRAINS + i) / 2
 }
 
 fn anchor_word(slot: usize, i: usize) -> usize {
@@ -142,9 +145,7 @@ fn anchor_word(slot: usize, i: usize) -> usize {
 }
 
 fn pack(anchor: [f32; 3]) -> [u32; 2] {
-    let [x, y, z] = anchor.map(|a| {
-        (a.clamp(-ANCHOR_MAX, ANCHOR_MAX) * ANCHOR_SCALE + ANCHOR_ZERO).to_bits() & ANCHOR_BITS
-    });
+    let [x, y, z] = anchor.map(|a| (a * ANCHOR_SCALE + ANCHOR_ZERO).to_bits() & ANCHOR_BITS);
     [x | y << 21, y >> 11 | z << 10]
 }
 
@@ -189,7 +190,7 @@ pub(crate) fn state(words: &[u32]) -> State {
     for i in 0..n {
         let touching = words[MEMORIES + 5 * GRAINS + i];
         for slot in (0..SLOTS).filter(|slot| touching >> slot & 1 == 1) {
-            let j = (words[slot_word(slot, i)] >> (16 * (slot & 1)) & 0xffff) as usize;
+            let j = (words[slot_word(slot, i)] >> (16 * (i & 1)) & 0xffff) as usize;
             let at = anchor_word(slot, i);
             if let (true, Some(&Some(a)), Some(&Some(b))) = (i < j, places.get(i), places.get(j)) {
                 state.stuck.push(([a, b], unpack([words[at], words[at + 1]])));

@@ -10,7 +10,7 @@
 //!
 //! Results are the same bytes for the same inputs on one card and driver, whatever other spoons are
 //! in the batch and however many threads a block has. They are not those of the CPU: sums are in
-//! another order, and anchors of pairs are kept to 1.4e-6 grain diameters. A few thousand substeps
+//! another order, and anchors of pairs are kept to 1.9e-6 grain diameters. A few thousand substeps
 //! later two such runs differ like two seeds; their statistics are compared by the program
 //! `gpu_report`.
 //!

@@ -64,8 +64,8 @@ fn differences(a: &State, b: &State) -> ([f32; 4], usize) {
     let mut raise = |k: usize, by: f32| largest[k] = largest[k].max(by);
     for (x, y) in mine.iter().zip(&theirs) {
         assert_eq!(x.id, y.id);
-        // Far below the spoon a float resolves less.
-        if x.x[2] > -16.0 {
+        // Far from the spoon a float resolves less.
+        if x.x.iter().all(|k| k.abs() < 16.0) {
             raise(0, apart(x.x, y.x));
         }
         raise(1, apart(x.v, y.v));

@@ -4,6 +4,9 @@
 //! ```sh
 //! cargo run --release -p flip-cuda --example gpu_report            # all three
 //! cargo run --release -p flip-cuda --example gpu_report -- speed   # one of them
+//! cargo run --release -p flip-cuda --example gpu_report -- speed threads=640
+//! cargo run --release -p flip-cuda --example gpu_report -- quick   # speed of one batch on the card
+//! cargo run --release -p flip-cuda --example gpu_report -- quick kernel=small
 //! ```
 //!
 //! Prints what it measures; without a card it prints why there is nothing to measure.
@@ -17,20 +20,31 @@ use flip_cuda::Card;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let card = match Card::open(0) {
+    let asked: Vec<String> = std::env::args().skip(1).collect();
+    let open =
+        if asked.iter().any(|it| it == "kernel=small") { Card::open_small } else { Card::open };
+    let card = match open(0) {
         Ok(card) => card,
         Err(reason) => {
             println!("skipped: {reason}");
             return ExitCode::SUCCESS;
         }
     };
+    let threads = asked.iter().find_map(|it| it.strip_prefix("threads=")?.parse().ok());
+    let card = match threads {
+        Some(threads) => card.with_threads(threads),
+        None => card,
+    };
     let cores = powders::cores();
     println!("{}, {} multiprocessors; {cores} CPU cores", card.name(), card.multiprocessors());
-    let asked: Vec<String> = std::env::args().skip(1).collect();
-    let wanted = |name: &str| asked.is_empty() || asked.iter().any(|it| it == name);
+    let parts = asked.iter().filter(|it| !it.contains('=')).count();
+    let wanted = |name: &str| parts == 0 || asked.iter().any(|it| it == name);
     let mut results = Vec::new();
     if wanted("speed") {
-        results.push(speed::report(&card));
+        results.push(speed::report(&card, false));
+    }
+    if asked.iter().any(|it| it == "quick") {
+        results.push(speed::report(&card, true));
     }
     if wanted("repeats") {
         results.push(repeats::report(&card));
