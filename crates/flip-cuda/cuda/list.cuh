@@ -10,9 +10,46 @@
 
 constexpr float SKIN = 0.14f;      // as in flip-sim's neighbours.rs
 constexpr float HORIZON = 24.0f;
+constexpr float PATH_ERROR = 0.002f;  // of the paths as they are kept
 constexpr float HOT2 = 1.1f;       // squared distance within which a pair is near
 constexpr float DRIFT_UNIT = 262144.0f;
 constexpr int RETRIES = 6;
+
+// A path in six numbers of 16 bits: its start from the grid's corner in 1/1024 of a diameter, and its
+// velocity in 1/32768. A grain outside that range counts as strayed in every substep.
+constexpr float START_UNIT = 1024.0f;
+constexpr float PACE_UNIT = 32768.0f;
+
+FN Bits start_number(float from_corner) {
+    return Bits(within(int(from_corner * START_UNIT + 0.5f), 0, 0xffff));
+}
+
+FN Bits pace_number(float v) {
+    return Bits(within(int(v * PACE_UNIT + 32768.5f), 0, 0xffff));
+}
+
+FN void set_path(const Law& law, Spoon& spoon, int i, Vec x, Vec v) {
+    Bits a = start_number(x.x - law.origin[0]), b = start_number(x.y - law.origin[1]);
+    Bits c = start_number(x.z - law.origin[2]);
+    spoon.path[0][i] = a | b << 16;
+    spoon.path[1][i] = c | pace_number(v.x) << 16;
+    spoon.path[2][i] = pace_number(v.y) | pace_number(v.z) << 16;
+}
+
+// The lower and the upper 16 bits of a word as a float, exactly.
+FN float low_half(Bits word) { return float_of(0x4b000000u | (word & 0xffff)) - 8388608.0f; }
+FN float high_half(Bits word) { return float_of(0x4b000000u | word >> 16) - 8388608.0f; }
+
+// Where a grain's path is after so many substeps.
+FN Vec path_at(const Law& law, const Spoon& spoon, int i, float time) {
+    Bits a = spoon.path[0][i], b = spoon.path[1][i], c = spoon.path[2][i];
+    float pace = time * (1.0f / PACE_UNIT), back = 32768.0f * pace;
+    Vec start = vec(low_half(a), high_half(a), low_half(b));
+    Vec way = vec(high_half(b) * pace - back, low_half(c) * pace - back, high_half(c) * pace - back);
+    return vec(start.x * (1.0f / START_UNIT) + law.origin[0] + way.x,
+               start.y * (1.0f / START_UNIT) + law.origin[1] + way.y,
+               start.z * (1.0f / START_UNIT) + law.origin[2] + way.z);
+}
 
 struct Cell { int x, y, z; };
 
@@ -133,8 +170,8 @@ FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now,
     carried.count = 0;
     for (int k = 0; k < 8; k++) carried.pairs[k] = 0xffffffffu;
     // Touching pairs come first, with their memory.
-    for (Bits left = was.touching[old]; left != 0 && carried.count < 16; left &= left - 1) {
-        int slot = lowest(left);
+    Count before = unpack_count(was.count[old]);
+    for (int slot = 0; slot < before.touching && carried.count < 16; slot++) {
         int j = work.present[was.slots[slot][old]];
         if (j == NOBODY) continue;
         now.slots[carried.count][i] = Place(j);
@@ -175,8 +212,8 @@ FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now,
             from += count;
         }
     }
-    now.touching[i] = carried.count >= 32 ? 0xffffffffu : (1u << carried.count) - 1;
-    now.count[i] = Bits(hot) | Bits(later) << 8;
+    now.count[i] = pack_count(Count{carried.count, hot, later, before.wall});
+    if (before.wall) now.wall[i] = was.wall[old];
     return crowded;
 }
 
@@ -203,9 +240,7 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
         Vec off = sub(v, drift);
         fastest2 = larger(dot(off, off), fastest2);
         now.id[i] = was.id[old];
-        now.wall[i] = was.wall[old];
-        spoon.start[i] = with(first3(work.p[i]), 0.0f);
-        spoon.pace[i] = with(v, 0.0f);
+        set_path(law, spoon, i, first3(work.p[i]), v);
     }
     block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2)));
     block.barrier();

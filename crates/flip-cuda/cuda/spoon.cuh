@@ -19,13 +19,16 @@ struct Seen {
 struct Pairs {
     Strengths c;
     float near2, onset;            // squared distance of any force; distance at which touch begins
+    bool attract;
 };
 
-// Adds a neighbour. Returns whether it touches; `anchor` is only read if it did so before.
-FN bool add_pair(const Work& work, const Pairs& law, const Seen& me, int j, bool touched,
-                 uint2 anchor, uint2* keep, Sum& sum) {
+// Adds a neighbour with whom the contact is remembered, or begins. Returns whether it touches.
+template <bool BEGINS>
+FN bool add_contact(const Work& work, const Pairs& law, const Seen& me, int j, uint2 anchor,
+                    uint2* keep, Sum& sum) {
     const Strengths& c = law.c;
     float4 other = work.p[j];
+    Vec velocity = sub(me.v, load3(work.v, j));
     Vec offset = sub(me.p, first3(other));
     float distance2 = dot(offset, offset);
     if (!(distance2 < law.near2)) return false;
@@ -35,14 +38,13 @@ FN bool add_pair(const Work& work, const Pairs& law, const Seen& me, int j, bool
     float along = 0.0f - attract(gap, c);
     bool touches = gap < 0.0f;
     if (touches) {
-        Vec velocity = sub(me.v, load3(work.v, j));
         float share = me.share * other.w;
         float push =
             separate(gap, dot(velocity, normal), c.normal, c.normal_damping * share);
-        Vec stuck = touched ? unpack(anchor) : offset;
+        Vec stuck = BEGINS ? offset : unpack(anchor);
         Held held = stick(offset, stuck, velocity, normal, c.tangential_damping * share,
                           c.friction * push, c);
-        if (!touched || held.slips) *keep = pack(held.anchor);
+        if (BEGINS || held.slips) *keep = pack(held.anchor);
         along += push;
         sum.contacts += 1.0f;
         sum.correction = sub(sum.correction, held.correction);
@@ -51,80 +53,149 @@ FN bool add_pair(const Work& work, const Pairs& law, const Seen& me, int j, bool
     return touches;
 }
 
-// Adds the neighbours in `count` slots from `first` on, upwards or downwards.
+// Adds the attraction of a neighbour without contact. Returns whether a contact begins instead.
+FN bool add_near(const Work& work, const Pairs& law, const Seen& me, int j, Sum& sum) {
+    Vec offset = sub(me.p, first3(work.p[j]));
+    float distance2 = dot(offset, offset);
+    if (!(distance2 < law.near2)) return false;
+    float inverse = inverse_root(distance2);
+    float gap = distance2 * inverse - law.onset;
+    if (gap < 0.0f) return true;
+    if (law.attract) {
+        float along = 0.0f - attract(gap, law.c);
+        sum.correction = add(sum.correction, scale(scale(offset, inverse), along));
+    }
+    return false;
+}
+
+// Adds the neighbours without contact in `count` slots from `first` on, upwards or downwards.
+// Returns the slots in which contacts begin.
 template <int STEP>
-FN void add_tier(const Work& work, const Pairs& law, Memory& memory, int i, const Seen& me,
-                 int first, int count, Bits touched, Bits& touching, Sum& sum) {
-    if (count == 0) return;
+FN Bits add_tier(const Work& work, const Pairs& law, const Memory& memory, int i, const Seen& me,
+                 int first, int count, Sum& sum) {
+    Bits begin = 0;
+    if (count <= 0) return begin;
     const Place* slot = &memory.slots[first][i];
-    uint2* keep = &memory.anchors[first][i];
     int next = *slot;
-    for (Bits bit = 1u << first; count > 0; count--) {
+    for (int k = 0; k < count; k++) {
         int j = next;
         slot += STEP * GRAINS;
-        // The next neighbour and this one's anchor are fetched while this one is computed.
-        if (count > 1) next = *slot;
-        bool was = (touched & bit) != 0;
-        uint2 anchor = make_uint2(0, 0);
-        if (was) anchor = *keep;
-        if (add_pair(work, law, me, j, was, anchor, keep, sum)) touching |= bit;
-        keep += STEP * GRAINS;
-        bit = STEP > 0 ? bit << 1 : bit >> 1;
+        if (k + 1 < count) next = *slot;
+        if (add_near(work, law, me, j, sum)) begin |= 1u << (first + STEP * k);
+    }
+    return begin;
+}
+
+FN void swap_slots(Memory& memory, int i, int a, int b) {
+    Place other = memory.slots[a][i];
+    memory.slots[a][i] = memory.slots[b][i];
+    memory.slots[b][i] = other;
+}
+
+// Puts touching neighbours first again: `ended` and `begun` are the slots of contacts that ended, and
+// of those that begin and are still to be added.
+FN void rearrange(const Work& work, const Pairs& law, Memory& memory, int i, const Seen& me,
+                  Bits ended, Bits begun, Count& count, Sum& sum) {
+    for (int k = count.touching - 1; k >= 0 && ended != 0; k--) {
+        if ((ended >> k & 1) == 0) continue;
+        ended &= ~(1u << k);
+        int last = --count.touching;
+        swap_slots(memory, i, k, last);
+        memory.anchors[k][i] = memory.anchors[last][i];
+    }
+    for (; begun != 0; begun &= begun - 1) {
+        int slot = lowest(begun), to = count.touching;
+        int j = memory.slots[slot][i];
+        if (slot >= SLOTS - count.later && to == count.near) {
+            // There is no near neighbour to change places with: the later ones close up.
+            int last = SLOTS - count.later;
+            memory.slots[slot][i] = memory.slots[last][i];
+            memory.slots[to][i] = Place(j);
+            count.later--;
+            count.near++;
+        } else {
+            swap_slots(memory, i, slot, to);
+        }
+        add_contact<true>(work, law, me, j, make_uint2(0, 0), &memory.anchors[to][i], sum);
+        count.touching++;
     }
 }
 
-// Adds the contact with the spoon.
-FN void add_wall(const Law& law, Memory& memory, int i, const Seen& me, Vec u, Sum& sum) {
+// Adds the contact with the spoon; returns whether it touches.
+FN bool add_wall(const Law& law, Memory& memory, int i, const Seen& me, Vec u, bool touched,
+                 Sum& sum) {
     const Strengths& c = law.wall;
     Touch near = bowl(law, me.p);
-    if (!(near.gap < c.reach)) {
-        memory.wall[i].w = 0.0f;
-        return;
-    }
+    if (!(near.gap < c.reach)) return false;
     float gap = near.gap - c.onset;
     float along = 0.0f - attract(gap, c);
-    if (!(gap < 0.0f)) {
-        memory.wall[i].w = 0.0f;
-    } else {
+    bool touches = gap < 0.0f;
+    if (touches) {
         float opening = dot(u, near.normal);
         float push = separate(gap, opening, c.normal, c.normal_damping * me.share);
-        float4 kept = memory.wall[i];
-        bool is_new = !(kept.w > 0.0f);
-        Vec anchor = is_new ? me.p : first3(kept);
+        Vec anchor = touched ? first3(memory.wall[i]) : me.p;
         Held held = stick(me.p, anchor, u, near.normal, c.tangential_damping * me.share,
                           c.friction * push, c);
-        if (is_new || held.slips) memory.wall[i] = with(held.anchor, 1.0f);
+        if (!touched || held.slips) memory.wall[i] = with(held.anchor, 0.0f);
         along += push;
         sum.contacts += 1.0f;
         sum.correction = sub(sum.correction, held.correction);
     }
     sum.correction = add(sum.correction, scale(near.normal, along));
+    return touches;
 }
 
 FN Vec coasting(Vec v, const Law& law, float2 body) {
     return scale(vec(v.x + body.x, v.y, v.z + body.y), law.drag);
 }
 
-// Sums the corrections of every grain at the predicted positions.
+// Sums the corrections of one grain at the predicted positions.
+FN void correct_one(const Work& work, const Law& law, const Pairs& pairs, Memory& memory, int i,
+                    float4 p, Bits packed, float2 body) {
+    Count count = unpack_count(packed);
+    Seen me = Seen{first3(p), p.w, load3(work.v, i)};
+    Sum sum = Sum{vec(0.0f, 0.0f, 0.0f), 0.0f};
+    // The next neighbour and this one's anchor are fetched while this one is computed.
+    const Place* slot = &memory.slots[0][i];
+    uint2* keep = &memory.anchors[0][i];
+    int next = *slot;
+    Bits ended = 0;
+    for (int k = 0; k < count.touching; k++) {
+        int j = next;
+        uint2 anchor = *keep;
+        slot += GRAINS;
+        next = *slot;
+        if (!add_contact<false>(work, pairs, me, j, anchor, keep, sum)) ended |= 1u << k;
+        keep += GRAINS;
+    }
+    Bits begun = add_tier<1>(work, pairs, memory, i, me, count.touching,
+                             count.near - count.touching, sum);
+    begun |= add_tier<-1>(work, pairs, memory, i, me, SLOTS - 1, count.later, sum);
+    if ((ended | begun) != 0) rearrange(work, pairs, memory, i, me, ended, begun, count, sum);
+    count.wall = add_wall(law, memory, i, me, coasting(me.v, law, body), count.wall, sum);
+    if (pack_count(count) != packed) memory.count[i] = pack_count(count);
+    work.c[i] = with(sum.correction, sum.contacts);
+}
+
+// Sums the corrections of every grain.
 FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spoon, int grains,
                 float2 body) {
     Memory& memory = spoon.memory[spoon.head.generation];
     float reach = 1.0f + law.grain.reach;
-    Pairs pairs = Pairs{law.grain, reach * reach, 1.0f + law.grain.onset};
+    Pairs pairs =
+        Pairs{law.grain, reach * reach, 1.0f + law.grain.onset, law.grain.attraction > 0.0f};
+    // Without attraction nothing happens beyond touch.
+    if (!pairs.attract) pairs.near2 = pairs.onset * pairs.onset;
+    Bits ahead = block.thread < grains ? memory.count[block.thread] : 0;
     for (int i = block.thread; i < grains; i += block.threads) {
         float4 p = work.p[i];
+        Bits packed = ahead;
+        if (i + block.threads < grains) ahead = memory.count[i + block.threads];
         if (p.x > 0.5f * FAR) {
             work.c[i] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
-            continue;
+        } else {
+            correct_one(work, law, pairs, memory, i, p, packed, body);
         }
-        Seen me = Seen{first3(p), p.w, load3(work.v, i)};
-        Bits count = memory.count[i], touched = memory.touching[i], touching = 0;
-        Sum sum = Sum{vec(0.0f, 0.0f, 0.0f), 0.0f};
-        add_tier<1>(work, pairs, memory, i, me, 0, count & 0xff, touched, touching, sum);
-        add_tier<-1>(work, pairs, memory, i, me, SLOTS - 1, count >> 8, touched, touching, sum);
-        if (touching != touched) memory.touching[i] = touching;
-        add_wall(law, memory, i, me, coasting(me.v, law, body), sum);
-        work.c[i] = with(sum.correction, sum.contacts);
     }
 }
 
@@ -152,9 +223,8 @@ FN bool predict_one(const Work& work, const Law& law, const Spoon& spoon, int i,
                     float contacts, float2 body, float time) {
     Vec p = add(x, coasting(v, law, body));
     work.p[i] = with(p, share_of(contacts));
-    Vec path = add(first3(spoon.start[i]), scale(first3(spoon.pace[i]), time));
-    Vec off = sub(p, path);
-    return !(dot(off, off) < SKIN * SKIN);
+    Vec off = sub(p, path_at(law, spoon, i, time));
+    return !(dot(off, off) < (SKIN - PATH_ERROR) * (SKIN - PATH_ERROR));
 }
 
 // A spoon at work: what all threads of its block know alike.

@@ -27,9 +27,9 @@ struct Head {
 struct Memory {
     float4 wall[GRAINS];           // where its contact with the spoon stuck; 1 while it touches
     unsigned id[GRAINS];
-    Bits touching[GRAINS];         // slots in contact
-    Bits count[GRAINS];            // neighbours: near now, and << 8 those that may come near
-    Place slots[SLOTS][GRAINS];    // near ones from the first slot up, the others from the last down
+    Bits count[GRAINS];            // as `Count`
+    Place slots[SLOTS][GRAINS];    // touching neighbours, then near ones, from the first slot up;
+                                   // those that may come near from the last down
     uint2 anchors[SLOTS][GRAINS];
 };
 
@@ -38,9 +38,25 @@ struct Spoon {
     float4 x[GRAINS];              // centre; number of contacts
     float4 v[GRAINS];
     Memory memory[2];
-    float4 start[GRAINS];          // of each grain's path since the list was built
-    float4 pace[GRAINS];
+    Bits path[3][GRAINS];          // each grain's since the list was built, as `Path`
 };
+
+// A grain's contacts: neighbours that touch, those and near ones, those that may come near, and
+// whether the spoon touches.
+struct Count {
+    int touching, near, later;
+    bool wall;
+};
+
+FN Count unpack_count(Bits count) {
+    return Count{int(count & 0xff), int(count >> 8 & 0xff), int(count >> 16 & 0xff),
+                 (count >> 31) != 0};
+}
+
+FN Bits pack_count(const Count& count) {
+    return Bits(count.touching) | Bits(count.near) << 8 | Bits(count.later) << 16
+        | Bits(count.wall) << 31;
+}
 
 // A motion of the spoon, then rest.
 struct Part {

@@ -18,11 +18,11 @@ pub(crate) const JOB: usize = 5;
 pub(crate) const OUTCOME: usize = 8;
 pub(crate) const DEPARTED: usize = 9;
 /// Words of what a spoon's grains remember.
-const MEMORY: usize = (4 + 1 + 1 + 1 + SLOTS / 2 + 2 * SLOTS) * GRAINS;
+const MEMORY: usize = (4 + 1 + 1 + SLOTS / 2 + 2 * SLOTS) * GRAINS;
 /// Where that begins.
 const MEMORIES: usize = HEAD + 8 * GRAINS;
 /// Words of a spoon.
-pub(crate) const SPOON: usize = MEMORIES + 2 * MEMORY + 8 * GRAINS;
+pub(crate) const SPOON: usize = MEMORIES + 2 * MEMORY + 3 * GRAINS;
 /// Words of a spoon that were filled by the CPU: without the second memory.
 pub(crate) const IMAGE: usize = MEMORIES + MEMORY;
 /// Bytes of shared memory of the large and of the small kernel, and of the small one's room in the
@@ -102,8 +102,7 @@ pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
         set(&mut words, HEAD + 4 * i, [grain.x[0], grain.x[1], grain.x[2], grain.contacts]);
         set(&mut words, HEAD + 4 * (GRAINS + i), [grain.v[0], grain.v[1], grain.v[2], 0.0]);
         let [x, y, z] = grain.wall_anchor.unwrap_or_default();
-        let touches = f32::from(u8::from(grain.wall_anchor.is_some()));
-        set(&mut words, MEMORIES + 4 * i, [x, y, z, touches]);
+        set(&mut words, MEMORIES + 4 * i, [x, y, z, 0.0]);
         words[MEMORIES + 4 * GRAINS + i] = grain.id;
     }
     let mut counts = vec![0; n];
@@ -122,9 +121,10 @@ pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
             words[place + 1] = high;
         }
     }
-    for (i, count) in counts.into_iter().enumerate() {
-        words[MEMORIES + 5 * GRAINS + i] = (1u64 << count).wrapping_sub(1) as u32;
-        words[MEMORIES + 6 * GRAINS + i] = count as u32;
+    for (i, (count, grain)) in counts.into_iter().zip(&state.grains).enumerate() {
+        // All of them touch, and so are near.
+        let wall = u32::from(grain.wall_anchor.is_some()) << 31;
+        words[MEMORIES + 5 * GRAINS + i] = count as u32 * 0x101 | wall;
     }
     Some(words)
 }
@@ -137,11 +137,11 @@ fn set(words: &mut [u32], at: usize, numbers: [f32; 4]) {
 
 /// The word that holds grain `i`'s neighbour in a slot, by twos.
 fn slot_word(slot: usize, i: usize) -> usize {
-    MEMORIES + 7 * GRAINS + (slot * GRAINS + i) / 2
+    MEMORIES + 6 * GRAINS + (slot * GRAINS + i) / 2
 }
 
 fn anchor_word(slot: usize, i: usize) -> usize {
-    MEMORIES + (7 + SLOTS / 2) * GRAINS + 2 * (slot * GRAINS + i)
+    MEMORIES + (6 + SLOTS / 2) * GRAINS + 2 * (slot * GRAINS + i)
 }
 
 fn pack(anchor: [f32; 3]) -> [u32; 2] {
@@ -177,19 +177,20 @@ pub(crate) fn state(words: &[u32]) -> State {
             continue;
         }
         let [vx, vy, vz, _] = four(HEAD + 4 * (GRAINS + i));
-        let [wx, wy, wz, touches] = four(MEMORIES + 4 * i);
+        let [wx, wy, wz, _] = four(MEMORIES + 4 * i);
+        let touches = words[MEMORIES + 5 * GRAINS + i] >> 31 == 1;
         *place = Some(state.grains.len() as u32);
         state.grains.push(Grain {
             id: words[MEMORIES + 4 * GRAINS + i],
             x: [x, y, z],
             v: [vx, vy, vz],
             contacts,
-            wall_anchor: (touches > 0.0).then_some([wx, wy, wz]),
+            wall_anchor: touches.then_some([wx, wy, wz]),
         });
     }
     for i in 0..n {
-        let touching = words[MEMORIES + 5 * GRAINS + i];
-        for slot in (0..SLOTS).filter(|slot| touching >> slot & 1 == 1) {
+        let touching = words[MEMORIES + 5 * GRAINS + i] as usize & 0xff;
+        for slot in 0..touching.min(SLOTS) {
             let j = (words[slot_word(slot, i)] >> (16 * (i & 1)) & 0xffff) as usize;
             let at = anchor_word(slot, i);
             if let (true, Some(&Some(a)), Some(&Some(b))) = (i < j, places.get(i), places.get(j)) {
