@@ -122,3 +122,6 @@ FN float unpack_one(Bits number) {
 FN Vec unpack(uint2 a) {
     return vec(unpack_one(a.x), unpack_one(a.x >> 21 | a.y << 11), unpack_one(a.y >> 10));
 }
+
+// The anchor as the other grain of the pair sees it.
+FN uint2 reversed(uint2 a) { return pack(scale(unpack(a), -1.0f)); }

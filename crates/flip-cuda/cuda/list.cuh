@@ -1,5 +1,5 @@
-// Building the list of neighbours. Grains are sorted into cells, each grain searches its cell and
-// the 26 around it, and the memory of touching pairs is carried over.
+// Building the list of neighbours. Grains are sorted into cells, the memory of touching pairs is
+// carried over, and each grain searches its cell and the 13 after it for grains that come later.
 //
 // A grain's path starts where it is and follows its velocity for `horizon` substeps. A pair is
 // listed if its paths come closer than the reach of a contact plus both grains' skins; the list is
@@ -14,6 +14,7 @@ constexpr float PATH_ERROR = 0.002f;  // of the paths as they are kept
 constexpr float HOT2 = 1.1f;       // squared distance within which a pair is near
 constexpr float DRIFT_UNIT = 262144.0f;
 constexpr int RETRIES = 6;
+constexpr int CARRIED = 16;            // room for touching later neighbours of a grain
 
 // A path in six numbers of 16 bits: its start from the grid's corner in 1/1024 of a diameter, and its
 // velocity in 1/32768. A grain outside that range counts as strayed in every substep.
@@ -120,6 +121,11 @@ FN int sort(const Block& block, const Work& work, const Law& law, int grains) {
     return work.first[cells];
 }
 
+// While the list is built, `c` holds velocities.
+FN Vec velocity_of(int4 c) {
+    return vec(float_of(Bits(c.x)), float_of(Bits(c.y)), float_of(Bits(c.z)));
+}
+
 // The grains in touch with one grain, packed by twos so that a search need not look them up.
 struct Carried {
     Bits pairs[8];
@@ -160,42 +166,62 @@ FN bool meet(Vec r, Vec u, float rr, float near2, float horizon) {
     return smaller(rr, end) < near2 || (between && rr * uu - ru * ru < near2 * uu);
 }
 
-// Lists the neighbours of the grain now at place `i`; returns whether they were too many.
+// Carries the touching pairs over to the grain that comes first now. Returns whether a grain has more
+// of them than a search can keep in mind. `x` and `v` are free: they are sorted already.
+FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& now, int before,
+              int grains) {
+    int* counts = reinterpret_cast<int*>(work.x);
+    for (int i = block.thread; i < grains; i += block.threads) counts[i] = 0;
+    block.barrier();
+    bool crowded = false;
+    for (int old = block.thread; old < before; old += block.threads) {
+        int a = work.present[old];
+        if (a == NOBODY) continue;
+        int touching = unpack_count(was.count[old]).touching;
+        for (int slot = 0; slot < touching; slot++) {
+            int b = work.present[was.slots[slot][old]];
+            if (b == NOBODY) continue;
+            int owner = least(a, b), k = take_ticket(&counts[owner], 1);
+            if (k >= CARRIED) {
+                crowded = true;
+                continue;
+            }
+            now.slots[k][owner] = Place(most(a, b));
+            uint2 anchor = was.anchors[slot][old];
+            now.anchors[k][owner] = a < b ? anchor : reversed(anchor);
+        }
+    }
+    return block.any(crowded);
+}
+
+// Lists the later neighbours of the grain now at place `i`; returns whether they were too many.
 FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now, int i,
                float horizon) {
-    int old = work.former[i];
-    Vec x = first3(work.p[i]), v = first3(work.c[i]);
+    Vec x = first3(work.p[i]), v = velocity_of(work.c[i]);
     float near = 1.0f + law.grain.reach + 2.0f * SKIN, near2 = near * near;
+    int touching = least(reinterpret_cast<const int*>(work.x)[i], CARRIED);
     Carried carried;
     carried.count = 0;
     for (int k = 0; k < 8; k++) carried.pairs[k] = 0xffffffffu;
-    // Touching pairs come first, with their memory.
-    Count before = unpack_count(was.count[old]);
-    for (int slot = 0; slot < before.touching && carried.count < 16; slot++) {
-        int j = work.present[was.slots[slot][old]];
-        if (j == NOBODY) continue;
-        now.slots[carried.count][i] = Place(j);
-        now.anchors[carried.count][i] = was.anchors[slot][old];
-        remember(carried, j);
-    }
-    int hot = carried.count, later = 0;
+    for (int slot = 0; slot < touching; slot++) remember(carried, now.slots[slot][i]);
+    int hot = touching, later = 0;
     bool crowded = false;
     Cell at = cell_of(law, x);
     int low = most(at.x - 1, 0), high = least(at.x + 1, law.size[0] - 1);
-    for (int row = 0; row < 9; row++) {
-        int y = at.y + row % 3 - 1, z = at.z + row / 3 - 1;
-        if (y < 0 || y >= law.size[1] || z < 0 || z >= law.size[2]) continue;
+    // The rest of its own line, the next line of its layer, and three lines of the next layer.
+    for (int row = 0; row < 5; row++) {
+        int y = at.y + (row < 2 ? row : row - 3), z = at.z + (row < 2 ? 0 : 1);
+        if (y < 0 || y >= law.size[1] || z >= law.size[2]) continue;
         int line = (z * law.size[1] + y) * law.size[0];
-        int from = work.first[line + low], end = work.first[line + high + 1];
+        int from = row == 0 ? i + 1 : work.first[line + low], end = work.first[line + high + 1];
         while (from < end) {
             int count = least(end - from, 32);
             Bits hits = 0;
             for (int k = 0; k < count; k++) {
                 Vec r = sub(x, first3(work.p[from + k]));
-                Vec u = sub(v, first3(work.c[from + k]));
+                Vec u = sub(v, velocity_of(work.c[from + k]));
                 if (meet(r, u, dot(r, r), near2, horizon)) hits |= 1u << k;
             }
-            if (from <= i && i < from + count) hits &= ~(1u << (i - from));
             for (; hits != 0; hits &= hits - 1) {
                 int j = from + lowest(hits);
                 if (is_carried(carried, j)) continue;
@@ -212,8 +238,10 @@ FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now,
             from += count;
         }
     }
-    now.count[i] = pack_count(Count{carried.count, hot, later, before.wall});
-    if (before.wall) now.wall[i] = was.wall[old];
+    int old = work.former[i];
+    bool wall = unpack_count(was.count[old]).wall;
+    now.count[i] = pack_count(Count{touching, hot, later, wall});
+    if (wall) now.wall[i] = was.wall[old];
     return crowded;
 }
 
@@ -222,10 +250,16 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
                int& fault) {
     const Memory& was = spoon.memory[spoon.head.generation];
     Memory& now = spoon.memory[1 - spoon.head.generation];
-    grains = sort(block, work, law, grains);
+    int before = grains;
+    // The grid takes the place of the predictions, which hold the shares of the damping.
+    for (int i = block.thread; i < before; i += block.threads) {
+        work.c[i].w = int(bits_of(work.p[i].w));
+    }
+    block.barrier();
+    grains = sort(block, work, law, before);
     for (int i = block.thread; i < grains; i += block.threads) {
         int old = work.former[i];
-        work.p[i] = with(load3(work.x, old), work.c[old].w);
+        work.p[i] = with(load3(work.x, old), float_of(Bits(work.c[old].w)));
     }
     block.barrier();
     // The bulk's velocity, so that a spoonful that slides as one is not fast.
@@ -236,7 +270,7 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     for (int i = block.thread; i < grains; i += block.threads) {
         int old = work.former[i];
         Vec v = load3(work.v, old);
-        work.c[i] = with(v, 0.0f);
+        work.c[i] = make_int4(int(bits_of(v.x)), int(bits_of(v.y)), int(bits_of(v.z)), 0);
         Vec off = sub(v, drift);
         fastest2 = larger(dot(off, off), fastest2);
         now.id[i] = was.id[old];
@@ -247,6 +281,7 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     float fastest = root(float_of(Bits(work.tally[FASTEST])));
     float spare = 0.5f * (law.cell - (1.0f + law.grain.reach + 2.0f * SKIN));
     float horizon = smaller(HORIZON, spare / larger(fastest, NEAREST));
+    if (carry(block, work, was, now, before, grains)) fault = OVERFULL;
     int tries = 0;
     for (bool crowded = true; crowded && tries < RETRIES; tries++) {
         if (tries > 0) horizon *= 0.5f;
@@ -259,8 +294,8 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     }
     for (int i = block.thread; i < grains; i += block.threads) {
         store3(work.x, i, first3(work.p[i]));
-        store3(work.v, i, first3(work.c[i]));
-        work.c[i].w = work.p[i].w;
+        store3(work.v, i, velocity_of(work.c[i]));
+        work.c[i] = make_int4(0, 0, 0, 0);
     }
     if (block.thread == 0) {
         spoon.head.generation = 1 - spoon.head.generation;

@@ -1,8 +1,8 @@
 // What differs between a card and a processor, so that the same physics compiles for both.
 //
 // On a card a block of threads carries out one spoon, each thread every `threads`-th grain. On a
-// processor one thread does it all, and every barrier between threads is nothing. Each grain's
-// numbers come from loops in a fixed order, so the results do not depend on the number of threads.
+// processor one thread does it all, and every barrier between threads is nothing. What several threads
+// add up is whole numbers, so the results do not depend on the number or the order of threads.
 #pragma once
 
 #if defined(__CUDACC__)
@@ -14,6 +14,8 @@
 struct float2 { float x, y; };
 struct alignas(16) float4 { float x, y, z, w; };
 struct alignas(8) uint2 { unsigned x, y; };
+struct alignas(16) int4 { int x, y, z, w; };
+inline int4 make_int4(int x, int y, int z, int w) { return {x, y, z, w}; }
 inline float2 make_float2(float x, float y) { return {x, y}; }
 inline float4 make_float4(float x, float y, float z, float w) { return {x, y, z, w}; }
 inline uint2 make_uint2(unsigned x, unsigned y) { return {x, y}; }
@@ -52,6 +54,7 @@ FN float over(float a, float b) { return __fdividef(a, b); }
 FN Bits bits_of(float x) { return __float_as_uint(x); }
 FN float float_of(Bits x) { return __uint_as_float(x); }
 FN int lowest(Bits x) { return __ffs(x) - 1; }
+FN int rounded(float x) { return __float2int_rn(x); }
 FN int take_ticket(int* counter, int by) { return atomicAdd(counter, by); }
 FN void raise(int* to, int value) { atomicMax(to, value); }
 #else
@@ -61,6 +64,7 @@ FN float over(float a, float b) { return a / b; }
 FN Bits bits_of(float x) { Bits b; std::memcpy(&b, &x, 4); return b; }
 FN float float_of(Bits b) { float x; std::memcpy(&x, &b, 4); return x; }
 FN int lowest(Bits x) { return __builtin_ctz(x); }
+FN int rounded(float x) { return int(__builtin_lrintf(x)); }
 FN int take_ticket(int* counter, int by) { int was = *counter; *counter += by; return was; }
 FN void raise(int* to, int value) { if (value > *to) *to = value; }
 #endif

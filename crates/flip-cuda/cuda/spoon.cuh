@@ -2,11 +2,38 @@
 #pragma once
 #include "list.cuh"
 
-// The sums over one grain's contacts.
+// The sums over one grain's contacts, in units of `Work::c`.
 struct Sum {
-    Vec correction;
-    float contacts;
+    int x, y, z, contacts;
 };
+
+FN Sum in_units(Vec correction, bool touches) {
+    return Sum{rounded(correction.x * CORRECTION_UNIT), rounded(correction.y * CORRECTION_UNIT),
+               rounded(correction.z * CORRECTION_UNIT), touches};
+}
+
+FN void gather(Sum& sum, const Sum& more) {
+    sum.x += more.x;
+    sum.y += more.y;
+    sum.z += more.z;
+    sum.contacts += more.contacts;
+}
+
+// Adds to a grain's sums, which other threads add to as well.
+FN void give(const Work& work, int j, const Sum& sum) {
+    int* to = &work.c[j].x;
+    take_ticket(to, sum.x);
+    take_ticket(to + 1, sum.y);
+    take_ticket(to + 2, sum.z);
+    if (sum.contacts != 0) take_ticket(to + 3, sum.contacts);
+}
+
+// A pair's correction, for both: what one grain gets the other one loses, to the last bit.
+FN void exchange(const Work& work, int j, Vec correction, bool touches, Sum& sum) {
+    Sum mine = in_units(correction, touches);
+    gather(sum, mine);
+    give(work, j, Sum{-mine.x, -mine.y, -mine.z, mine.contacts});
+}
 
 // A grain as its neighbours see it.
 struct Seen {
@@ -36,6 +63,7 @@ FN bool add_contact(const Work& work, const Pairs& law, const Seen& me, int j, u
     Vec normal = scale(offset, inverse);
     float gap = distance2 * inverse - law.onset;
     float along = 0.0f - attract(gap, c);
+    Vec correction = vec(0.0f, 0.0f, 0.0f);
     bool touches = gap < 0.0f;
     if (touches) {
         float share = me.share * other.w;
@@ -46,10 +74,9 @@ FN bool add_contact(const Work& work, const Pairs& law, const Seen& me, int j, u
                           c.friction * push, c);
         if (BEGINS || held.slips) *keep = pack(held.anchor);
         along += push;
-        sum.contacts += 1.0f;
-        sum.correction = sub(sum.correction, held.correction);
+        correction = held.correction;
     }
-    sum.correction = add(sum.correction, scale(normal, along));
+    exchange(work, j, sub(scale(normal, along), correction), touches, sum);
     return touches;
 }
 
@@ -63,7 +90,7 @@ FN bool add_near(const Work& work, const Pairs& law, const Seen& me, int j, Sum&
     if (gap < 0.0f) return true;
     if (law.attract) {
         float along = 0.0f - attract(gap, law.c);
-        sum.correction = add(sum.correction, scale(scale(offset, inverse), along));
+        exchange(work, j, scale(scale(offset, inverse), along), false, sum);
     }
     return false;
 }
@@ -129,6 +156,7 @@ FN bool add_wall(const Law& law, Memory& memory, int i, const Seen& me, Vec u, b
     if (!(near.gap < c.reach)) return false;
     float gap = near.gap - c.onset;
     float along = 0.0f - attract(gap, c);
+    Vec correction = vec(0.0f, 0.0f, 0.0f);
     bool touches = gap < 0.0f;
     if (touches) {
         float opening = dot(u, near.normal);
@@ -138,10 +166,9 @@ FN bool add_wall(const Law& law, Memory& memory, int i, const Seen& me, Vec u, b
                           c.friction * push, c);
         if (!touched || held.slips) memory.wall[i] = with(held.anchor, 0.0f);
         along += push;
-        sum.contacts += 1.0f;
-        sum.correction = sub(sum.correction, held.correction);
+        correction = held.correction;
     }
-    sum.correction = add(sum.correction, scale(near.normal, along));
+    gather(sum, in_units(sub(scale(near.normal, along), correction), touches));
     return touches;
 }
 
@@ -154,7 +181,7 @@ FN void correct_one(const Work& work, const Law& law, const Pairs& pairs, Memory
                     float4 p, Bits packed, float2 body) {
     Count count = unpack_count(packed);
     Seen me = Seen{first3(p), p.w, load3(work.v, i)};
-    Sum sum = Sum{vec(0.0f, 0.0f, 0.0f), 0.0f};
+    Sum sum = Sum{0, 0, 0, 0};
     // The next neighbour and this one's anchor are fetched while this one is computed.
     const Place* slot = &memory.slots[0][i];
     uint2* keep = &memory.anchors[0][i];
@@ -174,7 +201,7 @@ FN void correct_one(const Work& work, const Law& law, const Pairs& pairs, Memory
     if ((ended | begun) != 0) rearrange(work, pairs, memory, i, me, ended, begun, count, sum);
     count.wall = add_wall(law, memory, i, me, coasting(me.v, law, body), count.wall, sum);
     if (pack_count(count) != packed) memory.count[i] = pack_count(count);
-    work.c[i] = with(sum.correction, sum.contacts);
+    give(work, i, sum);
 }
 
 // Sums the corrections of every grain.
@@ -191,11 +218,7 @@ FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spo
         float4 p = work.p[i];
         Bits packed = ahead;
         if (i + block.threads < grains) ahead = memory.count[i + block.threads];
-        if (p.x > 0.5f * FAR) {
-            work.c[i] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
-        } else {
-            correct_one(work, law, pairs, memory, i, p, packed, body);
-        }
+        if (p.x < 0.5f * FAR) correct_one(work, law, pairs, memory, i, p, packed, body);
     }
 }
 
@@ -220,9 +243,9 @@ FN void note(const Work& work, const Losses& losses, const Check& check, Vec x, 
 
 // The prediction for one grain; returns whether it strayed from its path.
 FN bool predict_one(const Work& work, const Law& law, const Spoon& spoon, int i, Vec x, Vec v,
-                    float contacts, float2 body, float time) {
+                    float share, float2 body, float time) {
     Vec p = add(x, coasting(v, law, body));
-    work.p[i] = with(p, share_of(contacts));
+    work.p[i] = with(p, share);
     Vec off = sub(p, path_at(law, spoon, i, time));
     return !(dot(off, off) < (SKIN - PATH_ERROR) * (SKIN - PATH_ERROR));
 }
@@ -249,9 +272,16 @@ FN bool predict(const Block& block, const Work& work, const Law& law, const Spoo
             continue;
         }
         Vec v = load3(work.v, i);
-        strayed |= predict_one(work, law, spoon, i, x, v, work.c[i].w, body, time);
+        strayed |= predict_one(work, law, spoon, i, x, v, work.p[i].w, body, time);
     }
     return strayed;
+}
+
+// A grain's sums, which begin anew.
+FN int4 take_sum(const Work& work, int i) {
+    int4 c = work.c[i];
+    work.c[i] = make_int4(0, 0, 0, 0);
+    return c;
 }
 
 // Moves every grain and, if asked to, takes out those that left. Returns the largest squared speed of
@@ -262,8 +292,10 @@ FN float collect(const Block& block, const Work& work, const Law& law, int grain
     for (int i = block.thread; i < grains; i += block.threads) {
         Vec x = load3(work.x, i);
         if (x.x > 0.5f * FAR) continue;
-        Vec v = add(coasting(load3(work.v, i), law, body), first3(work.c[i]));
+        int4 c = take_sum(work, i);
+        Vec v = add(coasting(load3(work.v, i), law, body), correction_of(c));
         x = add(x, v);
+        work.p[i].w = share_of(float(c.w));
         float speed2 = dot(v, v);
         if (check.collects && has_left(law, x)) {
             note(work, losses, check, x, v);
@@ -288,12 +320,12 @@ FN bool move(const Block& block, const Work& work, const Law& law, const Spoon& 
     for (int i = block.thread; i < run.grains; i += block.threads) {
         Vec x = load3(work.x, i);
         if (x.x > 0.5f * FAR) continue;
-        float4 c = work.c[i];
-        Vec v = add(coasting(load3(work.v, i), law, body), first3(c));
+        int4 c = take_sum(work, i);
+        Vec v = add(coasting(load3(work.v, i), law, body), correction_of(c));
         x = add(x, v);
         store3(work.x, i, x);
         store3(work.v, i, v);
-        strayed |= predict_one(work, law, spoon, i, x, v, c.w, next, time);
+        strayed |= predict_one(work, law, spoon, i, x, v, share_of(float(c.w)), next, time);
     }
     return strayed;
 }
@@ -371,7 +403,7 @@ FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spo
     for (int i = block.thread; i < run.grains; i += block.threads) {
         store3(work.x, i, first3(spoon.x[i]));
         store3(work.v, i, first3(spoon.v[i]));
-        work.c[i].w = spoon.x[i].w;
+        work.p[i].w = spoon.x[i].w;
     }
     int rebuilds = spoon.head.rebuilds;
     if (block.thread == 0) {
@@ -382,7 +414,7 @@ FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spo
     carry_out(block, work, law, spoon, job, parts, bodies, rests, losses, run);
     block.barrier();
     for (int i = block.thread; i < run.grains; i += block.threads) {
-        spoon.x[i] = with(load3(work.x, i), work.c[i].w);
+        spoon.x[i] = with(load3(work.x, i), work.p[i].w);
         spoon.v[i] = with(load3(work.v, i), 0.0f);
     }
     if (block.thread == 0) {

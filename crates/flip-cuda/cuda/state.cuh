@@ -28,14 +28,15 @@ struct Memory {
     float4 wall[GRAINS];           // where its contact with the spoon stuck; 1 while it touches
     unsigned id[GRAINS];
     Bits count[GRAINS];            // as `Count`
-    Place slots[SLOTS][GRAINS];    // touching neighbours, then near ones, from the first slot up;
-                                   // those that may come near from the last down
+    Place slots[SLOTS][GRAINS];    // neighbours that come later in the arrays, so that each pair is
+                                   // listed once: touching ones, then near ones, from the first
+                                   // slot up; those that may come near from the last down
     uint2 anchors[SLOTS][GRAINS];
 };
 
 struct Spoon {
     Head head;
-    float4 x[GRAINS];              // centre; number of contacts
+    float4 x[GRAINS];              // centre; share of the damping
     float4 v[GRAINS];
     Memory memory[2];
     Bits path[3][GRAINS];          // each grain's since the list was built, as `Path`
@@ -98,7 +99,7 @@ struct Losses {
 // A block's working memory. `p` and `c` serve as room for the grid while a list is built.
 struct Work {
     float4* p;                     // predicted centre; share of the damping
-    float4* c;                     // sum of corrections; number of contacts
+    int4* c;                       // sum of corrections, fixed point; number of contacts
     float* x;                      // centres, three numbers each
     float* v;                      // velocities, three numbers each
     Place* first;                  // start of each cell's grains, and one more
@@ -109,6 +110,14 @@ struct Work {
 
 // Counters of a block.
 enum Tally { DRIFT = 0, FASTEST = 3, LISTED_LEFT = 4, LEFT = 5, WARPS = 8, TALLIES = 40 };
+
+// Corrections are added up as whole numbers, whose sum does not depend on their order: 2e-9 diameters.
+constexpr float CORRECTION_UNIT = 536870912.0f;  // 2^29: up to 4 diameters to both sides
+
+FN Vec correction_of(int4 c) {
+    return vec(float(c.x) * (1.0f / CORRECTION_UNIT), float(c.y) * (1.0f / CORRECTION_UNIT),
+               float(c.z) * (1.0f / CORRECTION_UNIT));
+}
 
 FN Vec load3(const float* from, int i) { return vec(from[3 * i], from[3 * i + 1], from[3 * i + 2]); }
 FN void store3(float* to, int i, Vec a) {

@@ -35,7 +35,8 @@ int main(int count, char** arguments) {
     auto jobs = read<Job>(from, counts[2]);
     auto parts = read<Part>(from, counts[3]);
     auto bodies = read<float2>(from, counts[4]);
-    std::vector<float4> p(GRAINS), c(GRAINS);
+    std::vector<float4> p(GRAINS);
+    std::vector<int4> c(GRAINS);
     std::vector<float> x(3 * GRAINS), v(3 * GRAINS);
     std::vector<Place> first(CELLS + 1), present(GRAINS), former(GRAINS);
     std::vector<int> tally(TALLIES), rests(parts.size());

@@ -99,7 +99,8 @@ pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
     let mut words = vec![0; IMAGE];
     words[0] = n as u32;
     for (i, grain) in state.grains.iter().enumerate() {
-        set(&mut words, HEAD + 4 * i, [grain.x[0], grain.x[1], grain.x[2], grain.contacts]);
+        let share = 1.0 / grain.contacts.max(1.0).sqrt();
+        set(&mut words, HEAD + 4 * i, [grain.x[0], grain.x[1], grain.x[2], share]);
         set(&mut words, HEAD + 4 * (GRAINS + i), [grain.v[0], grain.v[1], grain.v[2], 0.0]);
         let [x, y, z] = grain.wall_anchor.unwrap_or_default();
         set(&mut words, MEMORIES + 4 * i, [x, y, z, 0.0]);
@@ -107,19 +108,16 @@ pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
     }
     let mut counts = vec![0; n];
     for (ends, anchor) in &state.stuck {
-        let [a, b] = ends.map(|end| end as usize);
-        for (me, other, sign) in [(a, b, 1.0), (b, a, -1.0)] {
-            let slot = counts[me];
-            if slot == SLOTS {
-                return None;
-            }
-            counts[me] += 1;
-            words[slot_word(slot, me)] |= (other as u32) << (16 * (me & 1));
-            let [low, high] = pack(anchor.map(|x| sign * x));
-            let place = anchor_word(slot, me);
-            words[place] = low;
-            words[place + 1] = high;
+        let [me, other] = *ends;
+        let slot = counts[me as usize];
+        if slot == SLOTS {
+            return None;
         }
+        counts[me as usize] += 1;
+        let me = me as usize;
+        words[slot_word(slot, me)] |= other << (16 * (me & 1));
+        let place = anchor_word(slot, me);
+        words[place..place + 2].copy_from_slice(&pack(*anchor));
     }
     for (i, (count, grain)) in counts.into_iter().zip(&state.grains).enumerate() {
         // All of them touch, and so are near.
@@ -172,7 +170,7 @@ pub(crate) fn state(words: &[u32]) -> State {
     let mut places = vec![None; n];
     let mut state = State::default();
     for (i, place) in places.iter_mut().enumerate() {
-        let [x, y, z, contacts] = four(HEAD + 4 * i);
+        let [x, y, z, share] = four(HEAD + 4 * i);
         if x > 5e5 {
             continue;
         }
@@ -184,7 +182,8 @@ pub(crate) fn state(words: &[u32]) -> State {
             id: words[MEMORIES + 4 * GRAINS + i],
             x: [x, y, z],
             v: [vx, vy, vz],
-            contacts,
+            // A grain without contacts has the share of one with a single contact.
+            contacts: (1.0 / (share * share)).round(),
             wall_anchor: touches.then_some([wx, wy, wz]),
         });
     }
@@ -193,11 +192,13 @@ pub(crate) fn state(words: &[u32]) -> State {
         for slot in 0..touching.min(SLOTS) {
             let j = (words[slot_word(slot, i)] >> (16 * (i & 1)) & 0xffff) as usize;
             let at = anchor_word(slot, i);
-            if let (true, Some(&Some(a)), Some(&Some(b))) = (i < j, places.get(i), places.get(j)) {
+            if let (Some(&Some(a)), Some(&Some(b))) = (places.get(i), places.get(j)) {
                 state.stuck.push(([a, b], unpack([words[at], words[at + 1]])));
             }
         }
     }
+    // Contacts that began at the same time are listed in any order.
+    state.stuck.sort_unstable_by_key(|(ends, _)| *ends);
     state
 }
 

@@ -19,7 +19,14 @@ fn program() -> Option<&'static Path> {
             return None;
         }
         // Fused operations would round otherwise than flip-sim does.
-        let flags = ["-O2", "-std=c++17", "-ffp-contract=off", "-Wall", "-Wno-unknown-pragmas"];
+        let flags = [
+            "-O2",
+            "-std=c++17",
+            "-ffp-contract=off",
+            "-fno-math-errno",
+            "-Wall",
+            "-Wno-unknown-pragmas",
+        ];
         match Command::new("g++").args(flags).arg(&source).arg("-o").arg(&path).status() {
             Err(_) => {
                 println!("skipped: there is no g++ to compile the twin with");
