@@ -158,11 +158,11 @@ FN bool is_carried(const Carried& carried, int j) {
 }
 
 // Whether the paths of two grains come closer than `near2` allows.
-FN bool meet(Vec r, Vec u, float rr, float near2, float horizon) {
+FN bool approach(Vec r, Vec u, float rr, float near2, float horizon) {
     float ru = dot(r, u), uu = dot(u, u);
     float end = rr + horizon * (ru + ru + horizon * uu);
-    float approach = 0.0f - ru;
-    bool between = 0.0f < approach && approach < uu * horizon;
+    float closing = 0.0f - ru;
+    bool between = 0.0f < closing && closing < uu * horizon;
     return smaller(rr, end) < near2 || (between && rr * uu - ru * ru < near2 * uu);
 }
 
@@ -194,55 +194,81 @@ FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& n
     return block.any(crowded);
 }
 
-// Lists the later neighbours of the grain now at place `i`; returns whether they were too many.
-FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now, int i,
-               float horizon) {
-    Vec x = first3(work.p[i]), v = velocity_of(work.c[i]);
-    float near = 1.0f + law.grain.reach + 2.0f * SKIN, near2 = near * near;
-    int touching = least(reinterpret_cast<const int*>(work.x)[i], CARRIED);
+// A grain that looks for later neighbours.
+struct Seeker {
+    Vec x, v;
     Carried carried;
-    carried.count = 0;
-    for (int k = 0; k < 8; k++) carried.pairs[k] = 0xffffffffu;
-    for (int slot = 0; slot < touching; slot++) remember(carried, now.slots[slot][i]);
-    int hot = touching, later = 0;
-    bool crowded = false;
-    Cell at = cell_of(law, x);
+    Count count;
+    bool crowded;
+};
+
+FN void list_one(const Work& work, Memory& now, int i, int j, Seeker& me) {
+    if (is_carried(me.carried, j)) return;
+    Vec r = sub(me.x, first3(work.p[j]));
+    bool is_near = dot(r, r) < HOT2;
+    if (me.count.near + me.count.later == SLOTS) {
+        me.crowded = true;
+        return;
+    }
+    now.slots[is_near ? me.count.near : SLOTS - 1 - me.count.later][i] = Place(j);
+    me.count.near += is_near;
+    me.count.later += !is_near;
+}
+
+// Lists the neighbours among the grains at these places.
+FN void search_line(const Work& work, Memory& now, int i, int from, int end, float near2,
+                    float horizon, Seeker& me) {
+    int most_left = longest(end - from);
+    for (; most_left > 0; most_left -= 32, from += 32) {
+        Bits hits = 0;
+        int count = least(most_left, 32);
+        ONE_BY_ONE
+        for (int k = 0; k < count; k++) {
+            if (from + k < end) {
+                Vec r = sub(me.x, first3(work.p[from + k]));
+                Vec u = sub(me.v, velocity_of(work.c[from + k]));
+                if (approach(r, u, dot(r, r), near2, horizon)) hits |= 1u << k;
+            }
+        }
+        meet();
+        ONE_BY_ONE
+        while (longest(hits != 0)) {
+            if (hits != 0) list_one(work, now, i, from + lowest(hits), me);
+            hits &= hits - 1;
+            meet();
+        }
+    }
+}
+
+// Lists the later neighbours of the grain now at place `i`, or of none; returns whether they were too
+// many.
+FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now, int i,
+               bool is_one, float horizon) {
+    Seeker me = Seeker{first3(work.p[i]), velocity_of(work.c[i]), Carried{}, Count{}, false};
+    float near = 1.0f + law.grain.reach + 2.0f * SKIN;
+    int touching = least(reinterpret_cast<const int*>(work.x)[i], CARRIED);
+    for (int k = 0; k < 8; k++) me.carried.pairs[k] = 0xffffffffu;
+    for (int slot = 0; slot < touching; slot++) remember(me.carried, now.slots[slot][i]);
+    bool wall = unpack_count(was.count[work.former[i]]).wall;
+    me.count = Count{touching, touching, 0, wall};
+    Cell at = cell_of(law, me.x);
     int low = most(at.x - 1, 0), high = least(at.x + 1, law.size[0] - 1);
     // The rest of its own line, the next line of its layer, and three lines of the next layer.
     for (int row = 0; row < 5; row++) {
         int y = at.y + (row < 2 ? row : row - 3), z = at.z + (row < 2 ? 0 : 1);
-        if (y < 0 || y >= law.size[1] || z >= law.size[2]) continue;
-        int line = (z * law.size[1] + y) * law.size[0];
-        int from = row == 0 ? i + 1 : work.first[line + low], end = work.first[line + high + 1];
-        while (from < end) {
-            int count = least(end - from, 32);
-            Bits hits = 0;
-            for (int k = 0; k < count; k++) {
-                Vec r = sub(x, first3(work.p[from + k]));
-                Vec u = sub(v, velocity_of(work.c[from + k]));
-                if (meet(r, u, dot(r, r), near2, horizon)) hits |= 1u << k;
-            }
-            for (; hits != 0; hits &= hits - 1) {
-                int j = from + lowest(hits);
-                if (is_carried(carried, j)) continue;
-                Vec r = sub(x, first3(work.p[j]));
-                bool is_hot = dot(r, r) < HOT2;
-                if (hot + later == SLOTS) {
-                    crowded = true;
-                    continue;
-                }
-                now.slots[is_hot ? hot : SLOTS - 1 - later][i] = Place(j);
-                hot += is_hot;
-                later += !is_hot;
-            }
-            from += count;
+        int from = 0, end = 0;
+        if (is_one && y >= 0 && y < law.size[1] && z < law.size[2]) {
+            int line = (z * law.size[1] + y) * law.size[0];
+            from = row == 0 ? i + 1 : work.first[line + low];
+            end = work.first[line + high + 1];
         }
+        meet();
+        search_line(work, now, i, from, end, near * near, horizon, me);
     }
-    int old = work.former[i];
-    bool wall = unpack_count(was.count[old]).wall;
-    now.count[i] = pack_count(Count{touching, hot, later, wall});
-    if (wall) now.wall[i] = was.wall[old];
-    return crowded;
+    if (!is_one) return false;
+    now.count[i] = pack_count(me.count);
+    if (wall) now.wall[i] = was.wall[work.former[i]];
+    return me.crowded;
 }
 
 // Sorts the grains and builds the list. Returns the horizon for which it holds.
@@ -286,8 +312,9 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     for (bool crowded = true; crowded && tries < RETRIES; tries++) {
         if (tries > 0) horizon *= 0.5f;
         bool mine = false;
-        for (int i = block.thread; i < grains; i += block.threads) {
-            if (search(work, law, was, now, i, horizon)) mine = true;
+        for (int i = block.thread; block.goes_on(i, grains); i += block.threads) {
+            bool is_one = i < grains;
+            if (search(work, law, was, now, is_one ? i : 0, is_one, horizon)) mine = true;
         }
         crowded = block.any(mine);
         if (crowded && tries == RETRIES - 1) fault = OVERFULL;

@@ -7,10 +7,12 @@
 
 #if defined(__CUDACC__)
 #define FN __device__ __forceinline__
+#define ONE_BY_ONE _Pragma("unroll 1")
 #else
 #include <cmath>
 #include <cstring>
 #define FN inline
+#define ONE_BY_ONE
 struct float2 { float x, y; };
 struct alignas(16) float4 { float x, y, z, w; };
 struct alignas(8) uint2 { unsigned x, y; };
@@ -69,9 +71,24 @@ FN int take_ticket(int* counter, int by) { int was = *counter; *counter += by; r
 FN void raise(int* to, int value) { if (value > *to) *to = value; }
 #endif
 
+// Threads of a card work in warps of 32 that share one instruction. Once their ways part they often
+// stay apart, at a fraction of the speed, unless they are told to meet: loops over a grain's contacts
+// therefore run to the longest of the warp, and every thread of a warp must reach what follows.
+#if defined(__CUDACC__)
+constexpr int WARP = 32;
+FN int longest(int count) { return __reduce_max_sync(0xffffffffu, count); }
+FN void meet() { __syncwarp(); }
+#else
+constexpr int WARP = 1;
+FN int longest(int count) { return count; }
+FN void meet() {}
+#endif
+
 // The threads that carry out one spoon. Every thread must reach every barrier.
 struct Block {
     int thread, threads;
+    // Whether any thread of the warp, of which this one is at `i`, is below `end`.
+    FN bool goes_on(int i, int end) const { return i - (thread & (WARP - 1)) < end; }
 #if defined(__CUDACC__)
     FN void barrier() const { __syncthreads(); }
     // A barrier, and whether the condition holds for any thread.

@@ -49,50 +49,73 @@ struct Pairs {
     bool attract;
 };
 
-// Adds a neighbour with whom the contact is remembered, or begins. Returns whether it touches.
+// The correction of a pair, of the grain that lists it.
+struct Pull {
+    Vec correction;
+    bool acts, touches;
+};
+
+// A neighbour with whom the contact is remembered, or begins.
 template <bool BEGINS>
-FN bool add_contact(const Work& work, const Pairs& law, const Seen& me, int j, uint2 anchor,
-                    uint2* keep, Sum& sum) {
+FN Pull contact(const Work& work, const Pairs& law, const Seen& me, int j, uint2 anchor,
+                uint2* keep) {
     const Strengths& c = law.c;
     float4 other = work.p[j];
     Vec velocity = sub(me.v, load3(work.v, j));
     Vec offset = sub(me.p, first3(other));
     float distance2 = dot(offset, offset);
-    if (!(distance2 < law.near2)) return false;
+    if (!(distance2 < law.near2)) return Pull{offset, false, false};
     float inverse = inverse_root(distance2);
     Vec normal = scale(offset, inverse);
     float gap = distance2 * inverse - law.onset;
     float along = 0.0f - attract(gap, c);
-    Vec correction = vec(0.0f, 0.0f, 0.0f);
-    bool touches = gap < 0.0f;
-    if (touches) {
-        float share = me.share * other.w;
-        float push =
-            separate(gap, dot(velocity, normal), c.normal, c.normal_damping * share);
-        Vec stuck = BEGINS ? offset : unpack(anchor);
-        Held held = stick(offset, stuck, velocity, normal, c.tangential_damping * share,
-                          c.friction * push, c);
-        if (BEGINS || held.slips) *keep = pack(held.anchor);
-        along += push;
-        correction = held.correction;
-    }
-    exchange(work, j, sub(scale(normal, along), correction), touches, sum);
-    return touches;
+    if (!(gap < 0.0f)) return Pull{scale(normal, along), true, false};
+    float share = me.share * other.w;
+    float push = separate(gap, dot(velocity, normal), c.normal, c.normal_damping * share);
+    Vec stuck = BEGINS ? offset : unpack(anchor);
+    Held held = stick(offset, stuck, velocity, normal, c.tangential_damping * share,
+                      c.friction * push, c);
+    if (BEGINS || held.slips) *keep = pack(held.anchor);
+    return Pull{sub(scale(normal, along + push), held.correction), true, true};
 }
 
-// Adds the attraction of a neighbour without contact. Returns whether a contact begins instead.
-FN bool add_near(const Work& work, const Pairs& law, const Seen& me, int j, Sum& sum) {
+// A neighbour without contact: its attraction, or that a contact begins.
+FN Pull attraction(const Work& work, const Pairs& law, const Seen& me, int j) {
     Vec offset = sub(me.p, first3(work.p[j]));
     float distance2 = dot(offset, offset);
-    if (!(distance2 < law.near2)) return false;
+    if (!(distance2 < law.near2)) return Pull{offset, false, false};
     float inverse = inverse_root(distance2);
     float gap = distance2 * inverse - law.onset;
-    if (gap < 0.0f) return true;
-    if (law.attract) {
-        float along = 0.0f - attract(gap, law.c);
-        exchange(work, j, scale(scale(offset, inverse), along), false, sum);
+    if (gap < 0.0f) return Pull{offset, false, true};
+    float along = 0.0f - attract(gap, law.c);
+    return Pull{scale(scale(offset, inverse), along), law.attract, false};
+}
+
+// Adds the neighbours in touch. Returns the slots of contacts that ended.
+FN Bits add_contacts(const Work& work, const Pairs& law, Memory& memory, int i, const Seen& me,
+                     int count, Sum& sum) {
+    // The next neighbour and this one's anchor are fetched while this one is computed.
+    const Place* slot = &memory.slots[0][i];
+    uint2* keep = &memory.anchors[0][i];
+    int next = *slot, top = longest(count);
+    Bits ended = 0;
+    ONE_BY_ONE
+    for (int k = 0; k < top; k++) {
+        int j = next;
+        slot += GRAINS;
+        Pull pull = Pull{me.p, false, true};
+        if (k < count) {
+            uint2 anchor = *keep;
+            next = *slot;
+            pull = contact<false>(work, law, me, j, anchor, keep);
+        }
+        meet();
+        if (pull.acts) exchange(work, j, pull.correction, pull.touches, sum);
+        if (!pull.touches) ended |= 1u << k;
+        keep += GRAINS;
+        meet();
     }
-    return false;
+    return ended;
 }
 
 // Adds the neighbours without contact in `count` slots from `first` on, upwards or downwards.
@@ -100,17 +123,24 @@ FN bool add_near(const Work& work, const Pairs& law, const Seen& me, int j, Sum&
 template <int STEP>
 FN Bits add_tier(const Work& work, const Pairs& law, const Memory& memory, int i, const Seen& me,
                  int first, int count, Sum& sum) {
-    Bits begin = 0;
-    if (count <= 0) return begin;
+    Bits begun = 0;
     const Place* slot = &memory.slots[first][i];
-    int next = *slot;
-    for (int k = 0; k < count; k++) {
+    int next = count > 0 ? *slot : 0, top = longest(count);
+    ONE_BY_ONE
+    for (int k = 0; k < top; k++) {
         int j = next;
         slot += STEP * GRAINS;
-        if (k + 1 < count) next = *slot;
-        if (add_near(work, law, me, j, sum)) begin |= 1u << (first + STEP * k);
+        Pull pull = Pull{me.p, false, false};
+        if (k < count) {
+            if (k + 1 < count) next = *slot;
+            pull = attraction(work, law, me, j);
+        }
+        meet();
+        if (pull.acts) exchange(work, j, pull.correction, false, sum);
+        if (pull.touches) begun |= 1u << (first + STEP * k);
+        meet();
     }
-    return begin;
+    return begun;
 }
 
 FN void swap_slots(Memory& memory, int i, int a, int b) {
@@ -123,6 +153,7 @@ FN void swap_slots(Memory& memory, int i, int a, int b) {
 // of those that begin and are still to be added.
 FN void rearrange(const Work& work, const Pairs& law, Memory& memory, int i, const Seen& me,
                   Bits ended, Bits begun, Count& count, Sum& sum) {
+    ONE_BY_ONE
     for (int k = count.touching - 1; k >= 0 && ended != 0; k--) {
         if ((ended >> k & 1) == 0) continue;
         ended &= ~(1u << k);
@@ -130,6 +161,7 @@ FN void rearrange(const Work& work, const Pairs& law, Memory& memory, int i, con
         swap_slots(memory, i, k, last);
         memory.anchors[k][i] = memory.anchors[last][i];
     }
+    ONE_BY_ONE
     for (; begun != 0; begun &= begun - 1) {
         int slot = lowest(begun), to = count.touching;
         int j = memory.slots[slot][i];
@@ -143,7 +175,8 @@ FN void rearrange(const Work& work, const Pairs& law, Memory& memory, int i, con
         } else {
             swap_slots(memory, i, slot, to);
         }
-        add_contact<true>(work, law, me, j, make_uint2(0, 0), &memory.anchors[to][i], sum);
+        Pull pull = contact<true>(work, law, me, j, make_uint2(0, 0), &memory.anchors[to][i]);
+        exchange(work, j, pull.correction, true, sum);
         count.touching++;
     }
 }
@@ -176,30 +209,25 @@ FN Vec coasting(Vec v, const Law& law, float2 body) {
     return scale(vec(v.x + body.x, v.y, v.z + body.y), law.drag);
 }
 
-// Sums the corrections of one grain at the predicted positions.
+// Sums the corrections of the grain at place `i`, or of none, at the predicted positions.
 FN void correct_one(const Work& work, const Law& law, const Pairs& pairs, Memory& memory, int i,
-                    float4 p, Bits packed, float2 body) {
+                    bool is_one, Bits packed, float2 body) {
     Count count = unpack_count(packed);
+    float4 p = work.p[i];
     Seen me = Seen{first3(p), p.w, load3(work.v, i)};
     Sum sum = Sum{0, 0, 0, 0};
-    // The next neighbour and this one's anchor are fetched while this one is computed.
-    const Place* slot = &memory.slots[0][i];
-    uint2* keep = &memory.anchors[0][i];
-    int next = *slot;
-    Bits ended = 0;
-    for (int k = 0; k < count.touching; k++) {
-        int j = next;
-        uint2 anchor = *keep;
-        slot += GRAINS;
-        next = *slot;
-        if (!add_contact<false>(work, pairs, me, j, anchor, keep, sum)) ended |= 1u << k;
-        keep += GRAINS;
-    }
+    Bits ended = add_contacts(work, pairs, memory, i, me, count.touching, sum);
     Bits begun = add_tier<1>(work, pairs, memory, i, me, count.touching,
                              count.near - count.touching, sum);
     begun |= add_tier<-1>(work, pairs, memory, i, me, SLOTS - 1, count.later, sum);
     if ((ended | begun) != 0) rearrange(work, pairs, memory, i, me, ended, begun, count, sum);
-    count.wall = add_wall(law, memory, i, me, coasting(me.v, law, body), count.wall, sum);
+    meet();
+    if (is_one) {
+        Vec u = coasting(me.v, law, body);
+        count.wall = add_wall(law, memory, i, me, u, count.wall, sum);
+    }
+    meet();
+    if (!is_one) return;
     if (pack_count(count) != packed) memory.count[i] = pack_count(count);
     give(work, i, sum);
 }
@@ -214,11 +242,12 @@ FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spo
     // Without attraction nothing happens beyond touch.
     if (!pairs.attract) pairs.near2 = pairs.onset * pairs.onset;
     Bits ahead = block.thread < grains ? memory.count[block.thread] : 0;
-    for (int i = block.thread; i < grains; i += block.threads) {
-        float4 p = work.p[i];
-        Bits packed = ahead;
+    for (int i = block.thread; block.goes_on(i, grains); i += block.threads) {
+        bool is_one = i < grains && work.p[i].x < 0.5f * FAR;
+        Bits packed = is_one ? ahead : 0;
         if (i + block.threads < grains) ahead = memory.count[i + block.threads];
-        if (p.x < 0.5f * FAR) correct_one(work, law, pairs, memory, i, p, packed, body);
+        correct_one(work, law, pairs, memory, is_one ? i : 0, is_one, packed, body);
+        meet();
     }
 }
 
