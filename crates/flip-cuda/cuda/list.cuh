@@ -11,10 +11,9 @@
 constexpr float SKIN = 0.14f;      // as in flip-sim's neighbours.rs
 constexpr float HORIZON = 24.0f;
 constexpr float PATH_ERROR = 0.002f;  // of the paths as they are kept
-constexpr float HOT2 = 1.1f;       // squared distance within which a pair is near
 constexpr float DRIFT_UNIT = 262144.0f;
 constexpr int RETRIES = 6;
-constexpr int CARRIED = 16;            // room for touching later neighbours of a grain
+constexpr int CARRIED = 10;            // room for touching later neighbours of a grain
 
 // A path in six numbers of 16 bits: its start from the grid's corner in 1/1024 of a diameter, and its
 // velocity in 1/32768. A grain outside that range counts as strayed in every substep.
@@ -122,13 +121,18 @@ FN int sort(const Block& block, const Work& work, const Law& law, int grains) {
 }
 
 // While the list is built, `c` holds velocities.
-FN Vec velocity_of(int4 c) {
-    return vec(float_of(Bits(c.x)), float_of(Bits(c.y)), float_of(Bits(c.z)));
+FN float4* velocities(const Work& work) { return reinterpret_cast<float4*>(work.c); }
+
+// And the room of `x` and `v` holds each grain's touching later neighbours: how many, and which.
+FN int* carried_count(const Work& work) { return reinterpret_cast<int*>(work.x); }
+FN Place* carried_place(const Work& work, int i, int k) {
+    Place* rest = reinterpret_cast<Place*>(carried_count(work) + GRAINS);
+    return k < 6 ? reinterpret_cast<Place*>(work.v) + 6 * i + k : rest + 4 * i + k - 6;
 }
 
 // The grains in touch with one grain, packed by twos so that a search need not look them up.
 struct Carried {
-    Bits pairs[8];
+    Bits pairs[CARRIED / 2];
     int count;
 };
 
@@ -136,7 +140,7 @@ FN void remember(Carried& carried, int j) {
 #if defined(__CUDACC__)
 #pragma unroll
 #endif
-    for (int k = 0; k < 8; k++) {
+    for (int k = 0; k < CARRIED / 2; k++) {
         if (k == carried.count >> 1) {
             carried.pairs[k] =
                 carried.count & 1 ? (carried.pairs[k] & 0xffff) | Bits(j) << 16 : 0xffff0000u | Bits(j);
@@ -150,7 +154,7 @@ FN bool is_carried(const Carried& carried, int j) {
 #if defined(__CUDACC__)
 #pragma unroll
 #endif
-    for (int k = 0; k < 8; k++) {
+    for (int k = 0; k < CARRIED / 2; k++) {
         Bits difference = carried.pairs[k] ^ twice;
         found |= (difference - 0x00010001u) & ~difference & 0x80008000u;
     }
@@ -166,30 +170,29 @@ FN bool approach(Vec r, Vec u, float rr, float near2, float horizon) {
     return smaller(rr, end) < near2 || (between && rr * uu - ru * ru < near2 * uu);
 }
 
-// Carries the touching pairs over to the grain that comes first now. Returns whether a grain has more
-// of them than a search can keep in mind. `x` and `v` are free: they are sorted already.
-FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& now, int before,
+// Carries the touching pairs over. Returns whether a grain has more of them than a search can keep in
+// mind.
+FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& now, int contacts,
               int grains) {
-    int* counts = reinterpret_cast<int*>(work.x);
-    for (int i = block.thread; i < grains; i += block.threads) counts[i] = 0;
+    for (int i = block.thread; i < grains; i += block.threads) carried_count(work)[i] = 0;
+    if (block.thread == 0) work.tally[TOUCHING] = 0;
     block.barrier();
     bool crowded = false;
-    for (int old = block.thread; old < before; old += block.threads) {
-        int a = work.present[old];
-        if (a == NOBODY) continue;
-        int touching = unpack_count(was.count[old]).touching;
-        for (int slot = 0; slot < touching; slot++) {
-            int b = work.present[was.slots[slot][old]];
-            if (b == NOBODY) continue;
-            int owner = least(a, b), k = take_ticket(&counts[owner], 1);
-            if (k >= CARRIED) {
-                crowded = true;
-                continue;
-            }
-            now.slots[k][owner] = Place(most(a, b));
-            uint2 anchor = was.anchors[slot][old];
-            now.anchors[k][owner] = a < b ? anchor : reversed(anchor);
+    for (int t = block.thread; t < contacts; t += block.threads) {
+        uint2 anchor = was.anchors[t];
+        Bits pair = was.touching[t];
+        int a = work.present[pair & 0xffff], b = work.present[pair >> 16];
+        if ((anchor.y & TOUCHES) == 0 || a == NOBODY || b == NOBODY) continue;
+        int owner = least(a, b), k = take_ticket(&carried_count(work)[owner], 1);
+        if (k < CARRIED) {
+            *carried_place(work, owner, k) = Place(most(a, b));
+        } else {
+            crowded = true;
         }
+        int place = take_ticket(&work.tally[TOUCHING], 1);
+        now.touching[place] = pair_of(a, b);
+        if (a > b) anchor = reversed(anchor);
+        now.anchors[place] = make_uint2(anchor.x, anchor.y | TOUCHES);
     }
     return block.any(crowded);
 }
@@ -198,22 +201,8 @@ FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& n
 struct Seeker {
     Vec x, v;
     Carried carried;
-    Count count;
     bool crowded;
 };
-
-FN void list_one(const Work& work, Memory& now, int i, int j, Seeker& me) {
-    if (is_carried(me.carried, j)) return;
-    Vec r = sub(me.x, first3(work.p[j]));
-    bool is_near = dot(r, r) < HOT2;
-    if (me.count.near + me.count.later == SLOTS) {
-        me.crowded = true;
-        return;
-    }
-    now.slots[is_near ? me.count.near : SLOTS - 1 - me.count.later][i] = Place(j);
-    me.count.near += is_near;
-    me.count.later += !is_near;
-}
 
 // Lists the neighbours among the grains at these places.
 FN void search_line(const Work& work, Memory& now, int i, int from, int end, float near2,
@@ -226,31 +215,37 @@ FN void search_line(const Work& work, Memory& now, int i, int from, int end, flo
         for (int k = 0; k < count; k++) {
             if (from + k < end) {
                 Vec r = sub(me.x, first3(work.p[from + k]));
-                Vec u = sub(me.v, velocity_of(work.c[from + k]));
+                Vec u = sub(me.v, first3(velocities(work)[from + k]));
                 if (approach(r, u, dot(r, r), near2, horizon)) hits |= 1u << k;
             }
         }
         meet();
         ONE_BY_ONE
         while (longest(hits != 0)) {
-            if (hits != 0) list_one(work, now, i, from + lowest(hits), me);
+            int j = from + lowest(hits);
+            if (hits != 0 && !is_carried(me.carried, j)) {
+                int place = take_ticket(&work.tally[NEAR], 1);
+                if (place < PAIRS) {
+                    now.near[place] = pair_of(i, j);
+                } else {
+                    me.crowded = true;
+                }
+            }
             hits &= hits - 1;
             meet();
         }
     }
 }
 
-// Lists the later neighbours of the grain now at place `i`, or of none; returns whether they were too
-// many.
-FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now, int i,
-               bool is_one, float horizon) {
-    Seeker me = Seeker{first3(work.p[i]), velocity_of(work.c[i]), Carried{}, Count{}, false};
+// Lists the later neighbours of the grain now at place `i`, or of none; returns whether there is no
+// room for them.
+FN bool search(const Work& work, const Law& law, Memory& now, int i, bool is_one, float horizon) {
+    Seeker me = Seeker{first3(work.p[i]), first3(velocities(work)[i]), Carried{}, false};
     float near = 1.0f + law.grain.reach + 2.0f * SKIN;
-    int touching = least(reinterpret_cast<const int*>(work.x)[i], CARRIED);
-    for (int k = 0; k < 8; k++) me.carried.pairs[k] = 0xffffffffu;
-    for (int slot = 0; slot < touching; slot++) remember(me.carried, now.slots[slot][i]);
-    bool wall = unpack_count(was.count[work.former[i]]).wall;
-    me.count = Count{touching, touching, 0, wall};
+    for (int k = 0; k < CARRIED / 2; k++) me.carried.pairs[k] = 0xffffffffu;
+    int touching = least(carried_count(work)[i], CARRIED);
+    for (int k = 0; k < touching; k++) remember(me.carried, *carried_place(work, i, k));
+    meet();
     Cell at = cell_of(law, me.x);
     int low = most(at.x - 1, 0), high = least(at.x + 1, law.size[0] - 1);
     // The rest of its own line, the next line of its layer, and three lines of the next layer.
@@ -265,27 +260,24 @@ FN bool search(const Work& work, const Law& law, const Memory& was, Memory& now,
         meet();
         search_line(work, now, i, from, end, near * near, horizon, me);
     }
-    if (!is_one) return false;
-    now.count[i] = pack_count(me.count);
-    if (wall) now.wall[i] = was.wall[work.former[i]];
     return me.crowded;
 }
 
 // Sorts the grains and builds the list. Returns the horizon for which it holds.
 FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoon, int& grains,
-               int& fault) {
+               int& contacts, int& fault) {
     const Memory& was = spoon.memory[spoon.head.generation];
     Memory& now = spoon.memory[1 - spoon.head.generation];
     int before = grains;
     // The grid takes the place of the predictions, which hold the shares of the damping.
     for (int i = block.thread; i < before; i += block.threads) {
-        work.c[i].w = int(bits_of(work.p[i].w));
+        work.c[3 * GRAINS + i] = int(bits_of(work.p[i].w));
     }
     block.barrier();
     grains = sort(block, work, law, before);
     for (int i = block.thread; i < grains; i += block.threads) {
         int old = work.former[i];
-        work.p[i] = with(load3(work.x, old), float_of(Bits(work.c[old].w)));
+        work.p[i] = with(load3(work.x, old), float_of(Bits(work.c[3 * GRAINS + old])));
     }
     block.barrier();
     // The bulk's velocity, so that a spoonful that slides as one is not fast.
@@ -296,10 +288,13 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     for (int i = block.thread; i < grains; i += block.threads) {
         int old = work.former[i];
         Vec v = load3(work.v, old);
-        work.c[i] = make_int4(int(bits_of(v.x)), int(bits_of(v.y)), int(bits_of(v.z)), 0);
+        velocities(work)[i] = with(v, 0.0f);
         Vec off = sub(v, drift);
         fastest2 = larger(dot(off, off), fastest2);
         now.id[i] = was.id[old];
+        Bits touches = was.wall_touches[old];
+        now.wall_touches[i] = touches;
+        if (touches != 0) now.wall[i] = was.wall[old];
         set_path(law, spoon, i, first3(work.p[i]), v);
     }
     block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2)));
@@ -307,23 +302,27 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     float fastest = root(float_of(Bits(work.tally[FASTEST])));
     float spare = 0.5f * (law.cell - (1.0f + law.grain.reach + 2.0f * SKIN));
     float horizon = smaller(HORIZON, spare / larger(fastest, NEAREST));
-    if (carry(block, work, was, now, before, grains)) fault = OVERFULL;
+    if (carry(block, work, was, now, contacts, grains)) fault = OVERFULL;
     int tries = 0;
     for (bool crowded = true; crowded && tries < RETRIES; tries++) {
         if (tries > 0) horizon *= 0.5f;
+        if (block.thread == 0) work.tally[NEAR] = 0;
+        block.barrier();
         bool mine = false;
         for (int i = block.thread; block.goes_on(i, grains); i += block.threads) {
             bool is_one = i < grains;
-            if (search(work, law, was, now, is_one ? i : 0, is_one, horizon)) mine = true;
+            if (search(work, law, now, is_one ? i : 0, is_one, horizon)) mine = true;
         }
         crowded = block.any(mine);
         if (crowded && tries == RETRIES - 1) fault = OVERFULL;
     }
     for (int i = block.thread; i < grains; i += block.threads) {
         store3(work.x, i, first3(work.p[i]));
-        store3(work.v, i, velocity_of(work.c[i]));
-        work.c[i] = make_int4(0, 0, 0, 0);
+        store3(work.v, i, first3(velocities(work)[i]));
     }
+    block.barrier();
+    for (int k = block.thread; k < 4 * GRAINS; k += block.threads) work.c[k] = 0;
+    contacts = work.tally[TOUCHING];
     if (block.thread == 0) {
         spoon.head.generation = 1 - spoon.head.generation;
         spoon.head.rebuilds++;

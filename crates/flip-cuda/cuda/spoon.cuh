@@ -12,35 +12,20 @@ FN Sum in_units(Vec correction, bool touches) {
                rounded(correction.z * CORRECTION_UNIT), touches};
 }
 
-FN void gather(Sum& sum, const Sum& more) {
-    sum.x += more.x;
-    sum.y += more.y;
-    sum.z += more.z;
-    sum.contacts += more.contacts;
-}
-
 // Adds to a grain's sums, which other threads add to as well.
-FN void give(const Work& work, int j, const Sum& sum) {
-    int* to = &work.c[j].x;
-    take_ticket(to, sum.x);
-    take_ticket(to + 1, sum.y);
-    take_ticket(to + 2, sum.z);
-    if (sum.contacts != 0) take_ticket(to + 3, sum.contacts);
+FN void give(const Work& work, int i, const Sum& sum) {
+    take_ticket(&work.c[i], sum.x);
+    take_ticket(&work.c[GRAINS + i], sum.y);
+    take_ticket(&work.c[2 * GRAINS + i], sum.z);
+    if (sum.contacts != 0) take_ticket(&work.c[3 * GRAINS + i], sum.contacts);
 }
 
 // A pair's correction, for both: what one grain gets the other one loses, to the last bit.
-FN void exchange(const Work& work, int j, Vec correction, bool touches, Sum& sum) {
-    Sum mine = in_units(correction, touches);
-    gather(sum, mine);
-    give(work, j, Sum{-mine.x, -mine.y, -mine.z, mine.contacts});
+FN void exchange(const Work& work, int i, int j, Vec correction, bool touches) {
+    Sum sum = in_units(correction, touches);
+    give(work, i, sum);
+    give(work, j, Sum{-sum.x, -sum.y, -sum.z, sum.contacts});
 }
-
-// A grain as its neighbours see it.
-struct Seen {
-    Vec p;
-    float share;
-    Vec v;
-};
 
 // What does not change within a substep.
 struct Pairs {
@@ -49,206 +34,150 @@ struct Pairs {
     bool attract;
 };
 
-// The correction of a pair, of the grain that lists it.
+// The correction of a pair's first grain.
 struct Pull {
     Vec correction;
     bool acts, touches;
 };
 
-// A neighbour with whom the contact is remembered, or begins.
-template <bool BEGINS>
-FN Pull contact(const Work& work, const Pairs& law, const Seen& me, int j, uint2 anchor,
+FN Pull idle() { return Pull{vec(0.0f, 0.0f, 0.0f), false, false}; }
+
+// A pair that touched before, or touches now for the first time; its anchor is kept.
+FN Pull contact(const Work& work, const Pairs& law, int i, int j, bool touched, uint2 anchor,
                 uint2* keep) {
     const Strengths& c = law.c;
-    float4 other = work.p[j];
-    Vec velocity = sub(me.v, load3(work.v, j));
-    Vec offset = sub(me.p, first3(other));
+    float4 mine = work.p[i], other = work.p[j];
+    Vec offset = sub(first3(mine), first3(other));
     float distance2 = dot(offset, offset);
-    if (!(distance2 < law.near2)) return Pull{offset, false, false};
+    if (!(distance2 < law.near2)) return idle();
+    Vec velocity = sub(load3(work.v, i), load3(work.v, j));
     float inverse = inverse_root(distance2);
     Vec normal = scale(offset, inverse);
     float gap = distance2 * inverse - law.onset;
     float along = 0.0f - attract(gap, c);
-    if (!(gap < 0.0f)) return Pull{scale(normal, along), true, false};
-    float share = me.share * other.w;
+    if (!(gap < 0.0f)) return Pull{scale(normal, along), law.attract, false};
+    float share = mine.w * other.w;
     float push = separate(gap, dot(velocity, normal), c.normal, c.normal_damping * share);
-    Vec stuck = BEGINS ? offset : unpack(anchor);
+    Vec stuck = touched ? unpack(anchor) : offset;
     Held held = stick(offset, stuck, velocity, normal, c.tangential_damping * share,
                       c.friction * push, c);
-    if (BEGINS || held.slips) *keep = pack(held.anchor);
+    if (!touched || held.slips) {
+        uint2 packed = pack(held.anchor);
+        *keep = make_uint2(packed.x, packed.y | TOUCHES);
+    }
     return Pull{sub(scale(normal, along + push), held.correction), true, true};
 }
 
-// A neighbour without contact: its attraction, or that a contact begins.
-FN Pull attraction(const Work& work, const Pairs& law, const Seen& me, int j) {
-    Vec offset = sub(me.p, first3(work.p[j]));
+// A pair without contact: its attraction, or that a contact begins.
+FN Pull attraction(const Work& work, const Pairs& law, int i, int j) {
+    Vec offset = sub(first3(work.p[i]), first3(work.p[j]));
     float distance2 = dot(offset, offset);
-    if (!(distance2 < law.near2)) return Pull{offset, false, false};
+    if (!(distance2 < law.near2)) return idle();
     float inverse = inverse_root(distance2);
     float gap = distance2 * inverse - law.onset;
     if (gap < 0.0f) return Pull{offset, false, true};
     float along = 0.0f - attract(gap, law.c);
-    return Pull{scale(scale(offset, inverse), along), law.attract, false};
+    return Pull{scale(offset, inverse * along), law.attract, false};
 }
 
-// Adds the neighbours in touch. Returns the slots of contacts that ended.
-FN Bits add_contacts(const Work& work, const Pairs& law, Memory& memory, int i, const Seen& me,
-                     int count, Sum& sum) {
-    // The next neighbour and this one's anchor are fetched while this one is computed.
-    const Place* slot = &memory.slots[0][i];
-    uint2* keep = &memory.anchors[0][i];
-    int next = *slot, top = longest(count);
-    Bits ended = 0;
+// Adds the pairs listed as touching.
+FN void add_contacts(const Block& block, const Work& work, const Pairs& law, Memory& memory,
+                     int contacts) {
+    Bits ahead = block.thread < contacts ? memory.touching[block.thread] : 0;
     ONE_BY_ONE
-    for (int k = 0; k < top; k++) {
-        int j = next;
-        slot += GRAINS;
-        Pull pull = Pull{me.p, false, true};
-        if (k < count) {
-            uint2 anchor = *keep;
-            next = *slot;
-            pull = contact<false>(work, law, me, j, anchor, keep);
+    for (int t = block.thread; block.goes_on(t, contacts); t += block.threads) {
+        int i = int(ahead & 0xffff), j = int(ahead >> 16);
+        Pull pull = idle();
+        if (t < contacts) {
+            uint2 anchor = memory.anchors[t];
+            if (t + block.threads < contacts) ahead = memory.touching[t + block.threads];
+            bool touched = (anchor.y & TOUCHES) != 0;
+            pull = contact(work, law, i, j, touched, anchor, &memory.anchors[t]);
+            if (touched && !pull.touches) memory.anchors[t].y = anchor.y & ~TOUCHES;
         }
         meet();
-        if (pull.acts) exchange(work, j, pull.correction, pull.touches, sum);
-        if (!pull.touches) ended |= 1u << k;
-        keep += GRAINS;
+        if (pull.acts) exchange(work, i, j, pull.correction, pull.touches);
         meet();
     }
-    return ended;
 }
 
-// Adds the neighbours without contact in `count` slots from `first` on, upwards or downwards.
-// Returns the slots in which contacts begin.
-template <int STEP>
-FN Bits add_tier(const Work& work, const Pairs& law, const Memory& memory, int i, const Seen& me,
-                 int first, int count, Sum& sum) {
-    Bits begun = 0;
-    const Place* slot = &memory.slots[first][i];
-    int next = count > 0 ? *slot : 0, top = longest(count);
+// Adds the other pairs. One that comes to touch goes over to those that do.
+FN void add_near(const Block& block, const Work& work, const Pairs& law, Memory& memory,
+                 int count) {
+    Bits ahead = block.thread < count ? memory.near[block.thread] : NO_PAIR;
     ONE_BY_ONE
-    for (int k = 0; k < top; k++) {
-        int j = next;
-        slot += STEP * GRAINS;
-        Pull pull = Pull{me.p, false, false};
-        if (k < count) {
-            if (k + 1 < count) next = *slot;
-            pull = attraction(work, law, me, j);
+    for (int t = block.thread; block.goes_on(t, count); t += block.threads) {
+        Bits pair = ahead;
+        ahead = t + block.threads < count ? memory.near[t + block.threads] : NO_PAIR;
+        int i = int(pair & 0xffff), j = int(pair >> 16);
+        Pull pull = idle();
+        if (pair != NO_PAIR) pull = attraction(work, law, i, j);
+        meet();
+        if (pull.touches) {
+            int place = take_ticket(&work.tally[TOUCHING], 1);
+            // With no room left the pair stays where it is, and the spoon is given up.
+            if (place < CONTACTS) {
+                memory.near[t] = NO_PAIR;
+                memory.touching[place] = pair;
+                pull = contact(work, law, i, j, false, make_uint2(0, 0), &memory.anchors[place]);
+            }
         }
         meet();
-        if (pull.acts) exchange(work, j, pull.correction, false, sum);
-        if (pull.touches) begun |= 1u << (first + STEP * k);
+        if (pull.acts) exchange(work, i, j, pull.correction, pull.touches);
         meet();
     }
-    return begun;
 }
 
-FN void swap_slots(Memory& memory, int i, int a, int b) {
-    Place other = memory.slots[a][i];
-    memory.slots[a][i] = memory.slots[b][i];
-    memory.slots[b][i] = other;
-}
-
-// Puts touching neighbours first again: `ended` and `begun` are the slots of contacts that ended, and
-// of those that begin and are still to be added.
-FN void rearrange(const Work& work, const Pairs& law, Memory& memory, int i, const Seen& me,
-                  Bits ended, Bits begun, Count& count, Sum& sum) {
-    ONE_BY_ONE
-    for (int k = count.touching - 1; k >= 0 && ended != 0; k--) {
-        if ((ended >> k & 1) == 0) continue;
-        ended &= ~(1u << k);
-        int last = --count.touching;
-        swap_slots(memory, i, k, last);
-        memory.anchors[k][i] = memory.anchors[last][i];
-    }
-    ONE_BY_ONE
-    for (; begun != 0; begun &= begun - 1) {
-        int slot = lowest(begun), to = count.touching;
-        int j = memory.slots[slot][i];
-        if (slot >= SLOTS - count.later && to == count.near) {
-            // There is no near neighbour to change places with: the later ones close up.
-            int last = SLOTS - count.later;
-            memory.slots[slot][i] = memory.slots[last][i];
-            memory.slots[to][i] = Place(j);
-            count.later--;
-            count.near++;
-        } else {
-            swap_slots(memory, i, slot, to);
-        }
-        Pull pull = contact<true>(work, law, me, j, make_uint2(0, 0), &memory.anchors[to][i]);
-        exchange(work, j, pull.correction, true, sum);
-        count.touching++;
-    }
-}
-
-// Adds the contact with the spoon; returns whether it touches.
-FN bool add_wall(const Law& law, Memory& memory, int i, const Seen& me, Vec u, bool touched,
-                 Sum& sum) {
+// A grain's contact with the spoon.
+FN Pull wall_contact(const Law& law, Memory& memory, int i, float4 p, Vec u, bool touched) {
     const Strengths& c = law.wall;
-    Touch near = bowl(law, me.p);
-    if (!(near.gap < c.reach)) return false;
+    Touch near = bowl(law, first3(p));
+    if (!(near.gap < c.reach)) return idle();
     float gap = near.gap - c.onset;
     float along = 0.0f - attract(gap, c);
-    Vec correction = vec(0.0f, 0.0f, 0.0f);
-    bool touches = gap < 0.0f;
-    if (touches) {
-        float opening = dot(u, near.normal);
-        float push = separate(gap, opening, c.normal, c.normal_damping * me.share);
-        Vec anchor = touched ? first3(memory.wall[i]) : me.p;
-        Held held = stick(me.p, anchor, u, near.normal, c.tangential_damping * me.share,
-                          c.friction * push, c);
-        if (!touched || held.slips) memory.wall[i] = with(held.anchor, 0.0f);
-        along += push;
-        correction = held.correction;
-    }
-    gather(sum, in_units(sub(scale(near.normal, along), correction), touches));
-    return touches;
+    if (!(gap < 0.0f)) return Pull{scale(near.normal, along), true, false};
+    float push = separate(gap, dot(u, near.normal), c.normal, c.normal_damping * p.w);
+    Vec anchor = touched ? first3(memory.wall[i]) : first3(p);
+    Held held = stick(first3(p), anchor, u, near.normal, c.tangential_damping * p.w,
+                      c.friction * push, c);
+    if (!touched || held.slips) memory.wall[i] = with(held.anchor, 0.0f);
+    return Pull{sub(scale(near.normal, along + push), held.correction), true, true};
 }
 
 FN Vec coasting(Vec v, const Law& law, float2 body) {
     return scale(vec(v.x + body.x, v.y, v.z + body.y), law.drag);
 }
 
-// Sums the corrections of the grain at place `i`, or of none, at the predicted positions.
-FN void correct_one(const Work& work, const Law& law, const Pairs& pairs, Memory& memory, int i,
-                    bool is_one, Bits packed, float2 body) {
-    Count count = unpack_count(packed);
-    float4 p = work.p[i];
-    Seen me = Seen{first3(p), p.w, load3(work.v, i)};
-    Sum sum = Sum{0, 0, 0, 0};
-    Bits ended = add_contacts(work, pairs, memory, i, me, count.touching, sum);
-    Bits begun = add_tier<1>(work, pairs, memory, i, me, count.touching,
-                             count.near - count.touching, sum);
-    begun |= add_tier<-1>(work, pairs, memory, i, me, SLOTS - 1, count.later, sum);
-    if ((ended | begun) != 0) rearrange(work, pairs, memory, i, me, ended, begun, count, sum);
-    meet();
-    if (is_one) {
-        Vec u = coasting(me.v, law, body);
-        count.wall = add_wall(law, memory, i, me, u, count.wall, sum);
+// Adds the contacts with the spoon.
+FN void add_walls(const Block& block, const Work& work, const Law& law, Memory& memory, int grains,
+                  float2 body) {
+    ONE_BY_ONE
+    for (int i = block.thread; block.goes_on(i, grains); i += block.threads) {
+        Pull pull = idle();
+        if (i < grains && work.p[i].x < 0.5f * FAR) {
+            bool touched = memory.wall_touches[i] != 0;
+            Vec u = coasting(load3(work.v, i), law, body);
+            pull = wall_contact(law, memory, i, work.p[i], u, touched);
+            if (pull.touches != touched) memory.wall_touches[i] = pull.touches;
+        }
+        meet();
+        if (pull.acts) give(work, i, in_units(pull.correction, pull.touches));
+        meet();
     }
-    meet();
-    if (!is_one) return;
-    if (pack_count(count) != packed) memory.count[i] = pack_count(count);
-    give(work, i, sum);
 }
 
-// Sums the corrections of every grain.
+// Sums the corrections of every grain at the predicted positions.
 FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spoon, int grains,
-                float2 body) {
+                int contacts, float2 body) {
     Memory& memory = spoon.memory[spoon.head.generation];
     float reach = 1.0f + law.grain.reach;
     Pairs pairs =
         Pairs{law.grain, reach * reach, 1.0f + law.grain.onset, law.grain.attraction > 0.0f};
     // Without attraction nothing happens beyond touch.
     if (!pairs.attract) pairs.near2 = pairs.onset * pairs.onset;
-    Bits ahead = block.thread < grains ? memory.count[block.thread] : 0;
-    for (int i = block.thread; block.goes_on(i, grains); i += block.threads) {
-        bool is_one = i < grains && work.p[i].x < 0.5f * FAR;
-        Bits packed = is_one ? ahead : 0;
-        if (i + block.threads < grains) ahead = memory.count[i + block.threads];
-        correct_one(work, law, pairs, memory, is_one ? i : 0, is_one, packed, body);
-        meet();
-    }
+    add_contacts(block, work, pairs, memory, contacts);
+    add_near(block, work, pairs, memory, least(work.tally[NEAR], PAIRS));
+    add_walls(block, work, law, memory, grains, body);
 }
 
 // What happens besides the motion after a substep.
@@ -281,7 +210,7 @@ FN bool predict_one(const Work& work, const Law& law, const Spoon& spoon, int i,
 
 // A spoon at work: what all threads of its block know alike.
 struct Run {
-    int grains, fault, substeps;
+    int grains, contacts, fault, substeps;
     float age, horizon;            // of the list, substeps
     bool is_predicted, strayed;    // whether the next prediction is made, and with what result
 };
@@ -297,7 +226,8 @@ FN bool predict(const Block& block, const Work& work, const Law& law, const Spoo
     for (int i = block.thread; i < run.grains; i += block.threads) {
         Vec x = load3(work.x, i);
         if (x.x > 0.5f * FAR) {
-            work.p[i] = make_float4(FAR, FAR, FAR, 1.0f);
+            // Apart from each other, so that no two of them are a pair at no distance.
+            work.p[i] = make_float4(FAR + 4.0f * float(i), FAR, FAR, 1.0f);
             continue;
         }
         Vec v = load3(work.v, i);
@@ -308,8 +238,9 @@ FN bool predict(const Block& block, const Work& work, const Law& law, const Spoo
 
 // A grain's sums, which begin anew.
 FN int4 take_sum(const Work& work, int i) {
-    int4 c = work.c[i];
-    work.c[i] = make_int4(0, 0, 0, 0);
+    int4 c = make_int4(work.c[i], work.c[GRAINS + i], work.c[2 * GRAINS + i],
+                       work.c[3 * GRAINS + i]);
+    for (int k = 0; k < 4; k++) work.c[k * GRAINS + i] = 0;
     return c;
 }
 
@@ -369,14 +300,16 @@ FN float substep(const Block& block, const Work& work, const Law& law, Spoon& sp
             block.any(run.age < 0.0f || predict(block, work, law, spoon, run, body));
     }
     if (run.strayed) {
-        run.horizon = build(block, work, law, spoon, run.grains, run.fault);
+        run.horizon = build(block, work, law, spoon, run.grains, run.contacts, run.fault);
         run.age = 0.0f;
         predict(block, work, law, spoon, run, body);
         block.barrier();
     }
-    correct(block, work, law, spoon, run.grains, body);
+    correct(block, work, law, spoon, run.grains, run.contacts, body);
     if (check.collects && block.thread == 0) work.tally[FASTEST] = 0;
     block.barrier();
+    run.contacts = work.tally[TOUCHING];
+    if (run.contacts > CONTACTS) run.fault = OVERFULL, run.contacts = CONTACTS;
     run.age += 1.0f;
     run.substeps++;
     run.is_predicted = check.predicts;
@@ -428,7 +361,7 @@ FN void carry_out(const Block& block, const Work& work, const Law& law, Spoon& s
 FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spoon,
                 const Job& job, const Part* parts, const float2* bodies, int* rests,
                 const Losses& losses, Outcome& outcome) {
-    Run run = Run{spoon.head.grains, spoon.head.fault, 0, -1.0f, 0.0f, false, false};
+    Run run = Run{spoon.head.grains, spoon.head.contacts, spoon.head.fault, 0, -1.0f, 0.0f, false, false};
     for (int i = block.thread; i < run.grains; i += block.threads) {
         store3(work.x, i, first3(spoon.x[i]));
         store3(work.v, i, first3(spoon.v[i]));
@@ -449,6 +382,7 @@ FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spo
     if (block.thread == 0) {
         Head& head = spoon.head;
         head.grains = run.grains;
+        head.contacts = run.contacts;
         head.left = work.tally[LISTED_LEFT];
         head.fault = run.fault;
         head.substeps += run.substeps;

@@ -34,10 +34,10 @@ FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
     rest += 3 * GRAINS;
     if (SMALL) {
         char* mine = room + size_t(ROOM) * blockIdx.x;
-        work.c = reinterpret_cast<int4*>(mine);
+        work.c = reinterpret_cast<int*>(mine);
         work.x = reinterpret_cast<float*>(mine + 4 * 4 * GRAINS);
     } else {
-        work.c = reinterpret_cast<int4*>(rest);
+        work.c = reinterpret_cast<int*>(rest);
         work.x = rest + 4 * GRAINS;
         rest += 7 * GRAINS;
     }

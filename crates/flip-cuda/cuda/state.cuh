@@ -3,7 +3,10 @@
 #include "law.cuh"
 
 constexpr int GRAINS = 2560;       // room for grains
-constexpr int SLOTS = 32;          // room for neighbours of a grain
+constexpr int CONTACTS = 16384;    // room for pairs that touch
+constexpr int PAIRS = 16384;       // room for other pairs
+constexpr Bits NO_PAIR = 0xffffffff;
+constexpr Bits TOUCHES = 0x80000000;  // in the second word of an anchor: the pair touches now
 constexpr int CELLS = 4096;        // room for cells of the grid
 constexpr Place NOBODY = 0xffff;
 constexpr float FAR = 1.0e6f;      // coordinate of a grain that has left
@@ -19,19 +22,20 @@ struct Head {
     int rebuilds;                  // lists built since the spoon was filled
     int substeps;                  // substeps since then
     int crowded;                   // lists built again because a grain had too many neighbours
-    int unused[25];
+    int contacts;                  // pairs listed as touching
+    int unused[24];
 };
 
 // What a grain remembers besides its motion. Two of them take turns: a list is built from the
 // other's.
 struct Memory {
-    float4 wall[GRAINS];           // where its contact with the spoon stuck; 1 while it touches
+    float4 wall[GRAINS];           // where its contact with the spoon stuck
     unsigned id[GRAINS];
-    Bits count[GRAINS];            // as `Count`
-    Place slots[SLOTS][GRAINS];    // neighbours that come later in the arrays, so that each pair is
-                                   // listed once: touching ones, then near ones, from the first
-                                   // slot up; those that may come near from the last down
-    uint2 anchors[SLOTS][GRAINS];
+    Bits wall_touches[GRAINS];     // whether it touches now
+    // Every pair is listed once: the grain that comes first in the arrays, and the other one << 16.
+    Bits touching[CONTACTS];       // pairs that touch, and some that no longer do
+    uint2 anchors[CONTACTS];       // of those
+    Bits near[PAIRS];              // pairs that may come to touch before the next list, or NO_PAIR
 };
 
 struct Spoon {
@@ -41,23 +45,6 @@ struct Spoon {
     Memory memory[2];
     Bits path[3][GRAINS];          // each grain's since the list was built, as `Path`
 };
-
-// A grain's contacts: neighbours that touch, those and near ones, those that may come near, and
-// whether the spoon touches.
-struct Count {
-    int touching, near, later;
-    bool wall;
-};
-
-FN Count unpack_count(Bits count) {
-    return Count{int(count & 0xff), int(count >> 8 & 0xff), int(count >> 16 & 0xff),
-                 (count >> 31) != 0};
-}
-
-FN Bits pack_count(const Count& count) {
-    return Bits(count.touching) | Bits(count.near) << 8 | Bits(count.later) << 16
-        | Bits(count.wall) << 31;
-}
 
 // A motion of the spoon, then rest.
 struct Part {
@@ -99,7 +86,8 @@ struct Losses {
 // A block's working memory. `p` and `c` serve as room for the grid while a list is built.
 struct Work {
     float4* p;                     // predicted centre; share of the damping
-    int4* c;                       // sum of corrections, fixed point; number of contacts
+    int* c;                        // sum of corrections, fixed point: all x, all y, all z; then
+                                   // numbers of contacts
     float* x;                      // centres, three numbers each
     float* v;                      // velocities, three numbers each
     Place* first;                  // start of each cell's grains, and one more
@@ -109,7 +97,9 @@ struct Work {
 };
 
 // Counters of a block.
-enum Tally { DRIFT = 0, FASTEST = 3, LISTED_LEFT = 4, LEFT = 5, WARPS = 8, TALLIES = 40 };
+enum Tally {
+    DRIFT = 0, FASTEST = 3, LISTED_LEFT = 4, LEFT = 5, TOUCHING = 6, NEAR = 7, WARPS = 8, TALLIES = 40
+};
 
 // Corrections are added up as whole numbers, whose sum does not depend on their order: 2e-9 diameters.
 constexpr float CORRECTION_UNIT = 536870912.0f;  // 2^29: up to 4 diameters to both sides
@@ -118,6 +108,8 @@ FN Vec correction_of(int4 c) {
     return vec(float(c.x) * (1.0f / CORRECTION_UNIT), float(c.y) * (1.0f / CORRECTION_UNIT),
                float(c.z) * (1.0f / CORRECTION_UNIT));
 }
+
+FN Bits pair_of(int a, int b) { return Bits(least(a, b)) | Bits(most(a, b)) << 16; }
 
 FN Vec load3(const float* from, int i) { return vec(from[3 * i], from[3 * i + 1], from[3 * i + 2]); }
 FN void store3(float* to, int i, Vec a) {

@@ -36,14 +36,14 @@ int main(int count, char** arguments) {
     auto parts = read<Part>(from, counts[3]);
     auto bodies = read<float2>(from, counts[4]);
     std::vector<float4> p(GRAINS);
-    std::vector<int4> c(GRAINS);
+    std::vector<int4> sums(GRAINS);
     std::vector<float> x(3 * GRAINS), v(3 * GRAINS);
     std::vector<Place> first(CELLS + 1), present(GRAINS), former(GRAINS);
     std::vector<int> tally(TALLIES), rests(parts.size());
     std::vector<Outcome> outcomes(jobs.size());
     std::vector<Departed> departed(size_t(GRAINS) * jobs.size());
     int lost = 0;
-    Work work = {p.data(), c.data(), x.data(), v.data(), first.data(), present.data(),
+    Work work = {p.data(), &sums[0].x, x.data(), v.data(), first.data(), present.data(),
                  former.data(), tally.data()};
     for (const Job& job : jobs) {
         work_on(Block{0, 1}, work, laws[job.law], spoons[job.spoon], job, parts.data(),

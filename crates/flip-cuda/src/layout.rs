@@ -6,8 +6,9 @@ use flip_sim::dispense::outside::{Departed, Grain, Spoon, State, Strengths};
 
 /// Room for grains of a spoon.
 pub(crate) const GRAINS: usize = 2560;
-/// Room for neighbours of a grain.
-const SLOTS: usize = 32;
+/// Room for touching pairs, and for others.
+const CONTACTS: usize = 16384;
+const PAIRS: usize = 16384;
 /// Room for cells of the search grid.
 const CELLS: usize = 4096;
 /// Words of a spoon's head, its law, a part of a plan, a job, an outcome, a departed grain.
@@ -18,7 +19,12 @@ pub(crate) const JOB: usize = 5;
 pub(crate) const OUTCOME: usize = 8;
 pub(crate) const DEPARTED: usize = 9;
 /// Words of what a spoon's grains remember.
-const MEMORY: usize = (4 + 1 + 1 + SLOTS / 2 + 2 * SLOTS) * GRAINS;
+const MEMORY: usize = (4 + 1 + 1) * GRAINS + CONTACTS + 2 * CONTACTS + PAIRS;
+/// Where touching pairs, and their anchors, begin in the first memory.
+const TOUCHING: usize = MEMORIES + 6 * GRAINS;
+const ANCHORS: usize = TOUCHING + CONTACTS;
+/// In the second word of an anchor: the pair touches now.
+const TOUCHES: u32 = 1 << 31;
 /// Where that begins.
 const MEMORIES: usize = HEAD + 8 * GRAINS;
 /// Words of a spoon.
@@ -93,11 +99,12 @@ fn strengths(of: &Strengths) -> [f32; 10] {
 /// contacts.
 pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
     let n = state.grains.len();
-    if n > GRAINS {
+    if n > GRAINS || state.stuck.len() > CONTACTS {
         return None;
     }
     let mut words = vec![0; IMAGE];
     words[0] = n as u32;
+    words[7] = state.stuck.len() as u32;
     for (i, grain) in state.grains.iter().enumerate() {
         let share = 1.0 / grain.contacts.max(1.0).sqrt();
         set(&mut words, HEAD + 4 * i, [grain.x[0], grain.x[1], grain.x[2], share]);
@@ -105,24 +112,13 @@ pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
         let [x, y, z] = grain.wall_anchor.unwrap_or_default();
         set(&mut words, MEMORIES + 4 * i, [x, y, z, 0.0]);
         words[MEMORIES + 4 * GRAINS + i] = grain.id;
+        words[MEMORIES + 5 * GRAINS + i] = u32::from(grain.wall_anchor.is_some());
     }
-    let mut counts = vec![0; n];
-    for (ends, anchor) in &state.stuck {
-        let [me, other] = *ends;
-        let slot = counts[me as usize];
-        if slot == SLOTS {
-            return None;
-        }
-        counts[me as usize] += 1;
-        let me = me as usize;
-        words[slot_word(slot, me)] |= other << (16 * (me & 1));
-        let place = anchor_word(slot, me);
-        words[place..place + 2].copy_from_slice(&pack(*anchor));
-    }
-    for (i, (count, grain)) in counts.into_iter().zip(&state.grains).enumerate() {
-        // All of them touch, and so are near.
-        let wall = u32::from(grain.wall_anchor.is_some()) << 31;
-        words[MEMORIES + 5 * GRAINS + i] = count as u32 * 0x101 | wall;
+    for (k, ([a, b], anchor)) in state.stuck.iter().enumerate() {
+        let [low, high] = pack(*anchor);
+        words[TOUCHING + k] = a | b << 16;
+        words[ANCHORS + 2 * k] = low;
+        words[ANCHORS + 2 * k + 1] = high | TOUCHES;
     }
     Some(words)
 }
@@ -131,15 +127,6 @@ fn set(words: &mut [u32], at: usize, numbers: [f32; 4]) {
     for (word, number) in words[at..at + 4].iter_mut().zip(numbers) {
         *word = number.to_bits();
     }
-}
-
-/// The word that holds grain `i`'s neighbour in a slot, by twos.
-fn slot_word(slot: usize, i: usize) -> usize {
-    MEMORIES + 6 * GRAINS + (slot * GRAINS + i) / 2
-}
-
-fn anchor_word(slot: usize, i: usize) -> usize {
-    MEMORIES + (6 + SLOTS / 2) * GRAINS + 2 * (slot * GRAINS + i)
 }
 
 fn pack(anchor: [f32; 3]) -> [u32; 2] {
@@ -176,7 +163,7 @@ pub(crate) fn state(words: &[u32]) -> State {
         }
         let [vx, vy, vz, _] = four(HEAD + 4 * (GRAINS + i));
         let [wx, wy, wz, _] = four(MEMORIES + 4 * i);
-        let touches = words[MEMORIES + 5 * GRAINS + i] >> 31 == 1;
+        let touches = words[MEMORIES + 5 * GRAINS + i] != 0;
         *place = Some(state.grains.len() as u32);
         state.grains.push(Grain {
             id: words[MEMORIES + 4 * GRAINS + i],
@@ -187,14 +174,12 @@ pub(crate) fn state(words: &[u32]) -> State {
             wall_anchor: touches.then_some([wx, wy, wz]),
         });
     }
-    for i in 0..n {
-        let touching = words[MEMORIES + 5 * GRAINS + i] as usize & 0xff;
-        for slot in 0..touching.min(SLOTS) {
-            let j = (words[slot_word(slot, i)] >> (16 * (i & 1)) & 0xffff) as usize;
-            let at = anchor_word(slot, i);
-            if let (Some(&Some(a)), Some(&Some(b))) = (places.get(i), places.get(j)) {
-                state.stuck.push(([a, b], unpack([words[at], words[at + 1]])));
-            }
+    for k in 0..(words[7] as usize).min(CONTACTS) {
+        let [low, high] = [words[ANCHORS + 2 * k], words[ANCHORS + 2 * k + 1]];
+        let ends = [words[TOUCHING + k] & 0xffff, words[TOUCHING + k] >> 16];
+        let here = ends.map(|end| places.get(end as usize).copied().flatten());
+        if let ([Some(a), Some(b)], true) = (here, high & TOUCHES != 0) {
+            state.stuck.push(([a, b], unpack([low, high])));
         }
     }
     // Contacts that began at the same time are listed in any order.
