@@ -5,8 +5,9 @@
 
 // One kind of contact; shares are of one substep and one side.
 struct Strengths {
-    float normal, normal_damping;          // share of an overlap, of an approach velocity (damping
-                                           // of pairs: times the drag, for velocities before it)
+    // Of an overlap and of an approach velocity. The dampings of pairs are multiplied by the drag,
+    // because they are applied to velocities before it.
+    float normal, normal_damping;
     float tangential, looseness;           // share of a stretch, and its inverse
     float tangential_damping, friction;    // share of a slip velocity, Coulomb's coefficient
     float attraction, inverse_ramp;        // of touching bodies; 1 / (reach - onset)

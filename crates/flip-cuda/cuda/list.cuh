@@ -8,12 +8,12 @@
 #pragma once
 #include "state.cuh"
 
-constexpr float SKIN = 0.14f;      // as in flip-sim's neighbours.rs
-constexpr float HORIZON = 24.0f;
-constexpr float PATH_ERROR = 0.002f;  // of the paths as they are kept
-constexpr float DRIFT_UNIT = 262144.0f;
-constexpr int RETRIES = 6;
-constexpr int CARRIED = 10;            // room for touching later neighbours of a grain
+constexpr float SKIN = 0.14f;             // as in flip-sim's neighbours.rs
+constexpr float HORIZON = 24.0f;          // longest horizon, substeps
+constexpr float PATH_ERROR = 0.002f;      // more than a path as it is kept is off: 0.0015
+constexpr float DRIFT_UNIT = 262144.0f;   // the bulk's velocity is added up in whole numbers, too
+constexpr int RETRIES = 6;                // half the horizon each time there is no room for all pairs
+constexpr int CARRIED = 10;               // room for touching later neighbours of a grain
 
 // A path in six numbers of 16 bits: its start from the grid's corner in 1/1024 of a diameter, and its
 // velocity in 1/32768. A grain outside that range counts as strayed in every substep.

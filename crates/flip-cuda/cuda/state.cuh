@@ -21,7 +21,7 @@ struct Head {
     int fault;
     int rebuilds;                  // lists built since the spoon was filled
     int substeps;                  // substeps since then
-    int crowded;                   // lists built again because a grain had too many neighbours
+    int crowded;                   // lists built again because they had no room for all pairs
     int contacts;                  // pairs listed as touching
     int unused[24];
 };
@@ -43,7 +43,7 @@ struct Spoon {
     float4 x[GRAINS];              // centre; share of the damping
     float4 v[GRAINS];
     Memory memory[2];
-    Bits path[3][GRAINS];          // each grain's since the list was built, as `Path`
+    Bits path[3][GRAINS];          // each grain's since the list was built: see list.cuh
 };
 
 // A motion of the spoon, then rest.
@@ -83,7 +83,7 @@ struct Losses {
     Departed* list;
 };
 
-// A block's working memory. `p` and `c` serve as room for the grid while a list is built.
+// A block's working memory. All of it but `tally` serves other ends while a list is built.
 struct Work {
     float4* p;                     // predicted centre; share of the damping
     int* c;                        // sum of corrections, fixed point: all x, all y, all z; then

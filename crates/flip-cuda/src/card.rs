@@ -15,10 +15,8 @@ use std::time::Instant;
 const KERNELS: &str = include_str!("../ptx/spoons.ptx");
 /// The same without fused multiplication and addition.
 const EXACT: &str = include_str!("../ptx/spoons_exact.ptx");
-/// Threads of a block: 2500 grains in three rounds.
-const THREADS: u32 = 864;
-/// Most threads for which the kernels are compiled.
-const THREADS_MAX: u32 = 896;
+/// Threads of a block, and the most for which the kernels are compiled.
+const THREADS: u32 = 896;
 /// Oldest cards whose instructions the kernels use.
 const CAPABILITY: (i32, i32) = (8, 0);
 /// Bytes of a block's static shared memory, rounded up.
@@ -170,7 +168,7 @@ impl Card {
     /// do not depend on it.
     #[must_use]
     pub fn with_threads(self, threads: u32) -> Self {
-        Self { threads: (threads / 32 * 32).clamp(32, THREADS_MAX), ..self }
+        Self { threads: (threads / 32 * 32).clamp(32, THREADS), ..self }
     }
 
     pub(crate) fn stream(&self) -> &Arc<CudaStream> {

@@ -95,8 +95,7 @@ fn strengths(of: &Strengths) -> [f32; 10] {
     ]
 }
 
-/// A spoon's state as the kernel reads it; none if it has too many grains, or one of them too many
-/// contacts.
+/// A spoon's state as the kernel reads it; none if it has too many grains or contacts.
 pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
     let n = state.grains.len();
     if n > GRAINS || state.stuck.len() > CONTACTS {

@@ -113,7 +113,9 @@ fn one_substep_of_the_twin_is_one_of_flip_sim_to_float_rounding() {
             let each: Vec<Vec<[f32; 2]>> =
                 bodies[begin..begin + 32].iter().map(|body| vec![*body]).collect();
             let orders = driven(before.len(), &each);
-            let Some((states, _)) = carry_out(&[law.clone()], &before, &orders) else { return };
+            let Some((states, _)) = carry_out(std::slice::from_ref(&law), &before, &orders) else {
+                return;
+            };
             for (state, after) in states.iter().zip(&after) {
                 let (apart, alone) = differences(&layout::state(state), after);
                 substeps += 1;
@@ -171,7 +173,10 @@ fn a_whole_action_of_the_twin_pours_about_what_flip_sim_pours_and_loses_no_grain
         for action in [Action::once(8.0, 0.0), Action::once(8.0, 8.0), Action::once(8.0, 12.0)] {
             let tasks = [Task { spoon: 0, law: 0, shape: &spoon, pitch_deg, action, grains }];
             let orders = orders::plan(&tasks);
-            let Some((states, raw)) = carry_out(&[law.clone()], &[image], &orders) else { return };
+            let Some((states, raw)) = carry_out(std::slice::from_ref(&law), &[image], &orders)
+            else {
+                return;
+            };
             let poured = orders::poured(&tasks, &orders, &raw).expect("it makes sense")[0];
             assert_eq!(poured.fault, None);
             let before = f64::from(grains) * spoon.grain_mg;

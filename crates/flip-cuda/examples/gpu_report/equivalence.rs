@@ -16,10 +16,10 @@ const COHESIONS: [f64; 2] = [0.0, 0.6];
 const PITCHES_DEG: [u32; 3] = [24, 32, 40];
 const STROKES_MM: [f64; 3] = [4.0, 8.0, 16.0];
 /// Runs of each cell on each side.
-const RUNS: usize = 160;
+const RUNS: usize = 128;
 /// Pitch of one step, degrees.
 const STEP_DEG: u32 = 8;
-/// The 95 % quantile of Student's t for two samples of 160.
+/// The 95 % quantile of Student's t for two samples of 128.
 const T: f64 = 1.65;
 
 /// Masses by pitch: poured on the way there, and by a shake of each stroke.

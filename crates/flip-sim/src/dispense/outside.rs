@@ -252,18 +252,18 @@ impl Dispenser {
 
     /// The grains in it and the memory of their contacts.
     pub fn state(&self) -> State {
+        let three = |it: &[f32; 4]| [it[0], it[1], it[2]];
         let grains = &self.grains;
         let moving = grains.centres().iter().zip(grains.velocities());
         let known = grains.ids().iter().zip(grains.wall_anchors());
-        let three = |it: &[f32; 4]| [it[0], it[1], it[2]];
-        let grain = |((x, v), (id, anchor)): ((&[f32; 4], &[f32; 4]), (&u32, &[f32; 4]))| Grain {
+        let described = moving.zip(known).map(|((x, v), (id, anchor))| Grain {
             id: *id,
             x: three(x),
             v: three(v),
             contacts: v[3],
             wall_anchor: (anchor[3] > 0.0).then(|| three(anchor)),
-        };
-        State { grains: moving.zip(known).map(grain).collect(), stuck: grains.stuck() }
+        });
+        State { grains: described.collect(), stuck: grains.stuck() }
     }
 
     /// Advances by one substep for each of these accelerations along x and z, diameters per substep
