@@ -1,5 +1,5 @@
 // The same source compiled for a processor: reads jobs from a file, carries them out one after
-// another on one thread, and writes what became of them. `src/twin.rs` has the format.
+// another on one thread, and writes what became of them. `src/twin_for_tests.rs` has the format.
 #include <cstdio>
 #include <cstdlib>
 #include <cstddef>

@@ -95,12 +95,28 @@ fn repeats_other_spoons_threads_and_the_small_kernel_give_the_same_bytes() {
     same("the small kernel", &Card::open_small(0).expect("it was opened before"), 3);
 }
 
+/// Short enough for a tool that watches every access.
+#[test]
+fn a_short_action_ends_at_rest_without_a_fault() {
+    let Some(card) = card(Card::open) else { return };
+    let mut spoons = Spoons::new(&card, beds(), 3).expect("the card works");
+    let all: Vec<_> = (0..3).map(|spoon| (spoon, Action::once(0.5, 0.0))).collect();
+    for poured in spoons.step(&all).expect("the card works") {
+        assert_eq!((poured.fault, poured.vial_mg), (None, 0.0));
+        assert!(poured.substeps >= 250 && poured.rebuilds >= 1);
+    }
+}
+
 #[test]
 fn a_spoon_is_filled_again_named_once_and_must_exist() {
     let Some(card) = card(Card::open) else { return };
     let mut spoons = Spoons::new(&card, beds(), 2).expect("the card works");
     let full = spoons.state(1).expect("the card works");
-    spoons.step(&[(1, Action::once(8.0, 16.0)), (0, ACTIONS[0])]).expect("the card works");
+    let poured =
+        spoons.step(&[(1, Action::once(8.0, 16.0)), (0, ACTIONS[0])]).expect("the card works");
+    let seen = spoons.snapshot(1).expect("the card works");
+    assert_eq!(seen.grains.len() as u32, poured[0].kept);
+    assert!(seen.time_s > 0.0);
     assert_ne!(spoons.state(1).expect("the card works"), full);
     spoons.fill(1, 1).expect("the card works");
     assert_eq!(spoons.state(1).expect("the card works"), full);

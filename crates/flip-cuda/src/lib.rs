@@ -32,6 +32,7 @@ mod layout;
 mod orders;
 mod spoons;
 #[cfg(test)]
+#[path = "twin_for_tests.rs"]
 mod twin;
 
 pub use bed::{Bed, Refused};

@@ -5,6 +5,7 @@ use crate::{Bed, Card, CardError, Fault, Result, layout};
 use cudarc::driver::CudaSlice;
 use flip_core::domain::bench::Action;
 use flip_sim::dispense::outside::State;
+use flip_sim::snapshot::Snapshot;
 
 /// What one action poured.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,6 +35,7 @@ struct Standing {
     bed: usize,
     pitch_deg: f64,
     grains: u32,
+    substeps: u32,
 }
 
 /// Spoons on one card, each with its own powder. Their states stay there between actions.
@@ -68,7 +70,7 @@ impl Spoons {
         }
         let words = stream.alloc_zeros::<u32>(count * layout::SPOON)?;
         stream.synchronize()?;
-        let standing = vec![Standing { bed: 0, pitch_deg: 0.0, grains: 0 }; count];
+        let standing = vec![Standing { bed: 0, pitch_deg: 0.0, grains: 0, substeps: 0 }; count];
         let mut spoons =
             Self { card: card.clone(), laws, bank, words, standing, beds, kernel_s: 0.0 };
         for spoon in 0..count {
@@ -95,7 +97,7 @@ impl Spoons {
         let start = spoon * layout::SPOON;
         let mut place = self.words.slice_mut(start..start + layout::IMAGE);
         self.card.stream().memcpy_dtod(&image, &mut place)?;
-        *standing = Standing { bed, pitch_deg: from.pitch_deg, grains: from.grains };
+        *standing = Standing { bed, pitch_deg: from.pitch_deg, grains: from.grains, substeps: 0 };
         Ok(())
     }
 
@@ -116,7 +118,7 @@ impl Spoons {
                 Some(named) if !*named => *named = true,
                 _ => return Err(missing),
             }
-            let Standing { bed, pitch_deg, grains } = self.standing[spoon];
+            let Standing { bed, pitch_deg, grains, .. } = self.standing[spoon];
             let shape = &self.beds[bed].shape;
             tasks.push(Task { spoon, law: bed, shape, pitch_deg, action, grains });
         }
@@ -125,8 +127,10 @@ impl Spoons {
         self.kernel_s = raw.kernel_s;
         let poured = orders::poured(&tasks, &orders, &raw)?;
         for (&(spoon, _), poured) in actions.iter().zip(&poured) {
-            self.standing[spoon].pitch_deg = poured.pitch_deg;
-            self.standing[spoon].grains = poured.kept;
+            let standing = &mut self.standing[spoon];
+            standing.pitch_deg = poured.pitch_deg;
+            standing.grains = poured.kept;
+            standing.substeps += poured.substeps;
         }
         Ok(poured)
     }
@@ -134,6 +138,18 @@ impl Spoons {
     /// Time that the card took for the last step, s: without planning, copying and judging.
     pub fn kernel_s(&self) -> f64 {
         self.kernel_s
+    }
+
+    /// The grains of a spoon as they are now, in the spoon's frame; its time counts from when the
+    /// spoon was filled.
+    ///
+    /// # Errors
+    /// As [`Spoons::state`].
+    pub fn snapshot(&self, spoon: usize) -> Result<Snapshot> {
+        let state = self.state(spoon)?;
+        let Standing { bed, substeps, .. } = self.standing[spoon];
+        let shape = &self.beds[bed].shape;
+        Ok(shape.snapshot(&state, f64::from(substeps) * shape.substep_s))
     }
 
     /// The grains of a spoon and the memory of their contacts, in the spoon's frame.

@@ -7,6 +7,7 @@
 
 use super::super::grains::Departure;
 use super::super::law::Law;
+use super::super::snapshot::Snapshot;
 use super::super::walls::Shape;
 use super::motion::{self, Pose};
 use super::{Dispenser, REST_M_S, REST_S, SLICE, Settings};
@@ -198,6 +199,14 @@ impl Spoon {
         }
     }
 
+    /// A state of this spoon as a [`Snapshot`] at a simulated time.
+    pub fn snapshot(&self, state: &State, time_s: f64) -> Snapshot {
+        let centre = |grain: &Grain| [grain.x[0], grain.x[1], grain.x[2], 0.5];
+        let ids: Vec<u32> = state.grains.iter().map(|grain| grain.id).collect();
+        let centres: Vec<_> = state.grains.iter().map(centre).collect();
+        Snapshot::of(&ids, &centres, self.law.diameter_m, time_s)
+    }
+
     /// How many of these grains fell into the vial and how many missed it. A grain that names a
     /// part or substep that the plan does not have counts as having missed.
     pub fn landed(&self, plan: &Plan, departed: &[Departed]) -> [u32; 2] {
@@ -331,6 +340,8 @@ mod tests {
             assert!((poured.spilled_mg - f64::from(spilled) * spoon.grain_mg).abs() < 1e-9);
             assert!((poured.duration_s - duration_s).abs() < 1e-9);
             assert_eq!(stepped.state(), driven.state());
+            let seen = spoon.snapshot(&driven.state(), driven.snapshot().time_s);
+            assert_eq!(seen, driven.snapshot());
         }
         assert!(stepped.vial_mg() > 0.0, "nothing was poured, so nothing was compared");
     }
