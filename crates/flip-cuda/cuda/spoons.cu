@@ -4,11 +4,6 @@
 
 constexpr int ROOM = 7 * 4 * GRAINS;  // bytes of `c` and `x`
 
-extern "C" __device__ unsigned flip_layout[] = {
-    sizeof(Law), sizeof(Head), sizeof(Memory), sizeof(Spoon), sizeof(Part), sizeof(Job),
-    sizeof(Outcome), sizeof(Departed),
-};
-
 template <bool SMALL>
 FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
                const float2* bodies, int* rests, int* lost, Departed* departed,

@@ -58,14 +58,17 @@ pub enum CardError {
     /// The card answered something that cannot be.
     #[error("the card's answer makes no sense: {0}")]
     Nonsense(&'static str),
-    /// A spoon that does not exist was named.
-    #[error("there are {count} spoons and beds, and number {number} was asked for")]
+    /// A spoon or a bed that does not exist was named.
+    #[error("number {number} was asked for, and there are {count}, counted from 0")]
     NoSuch {
         /// What was asked for.
         number: usize,
         /// How many there are.
         count: usize,
     },
+    /// A spoon was given two actions in one step.
+    #[error("spoon {0} is named twice in one step; give its actions in two steps")]
+    Twice(usize),
     /// A spoonful that a card cannot compute.
     #[error(transparent)]
     Refused(#[from] Refused),
