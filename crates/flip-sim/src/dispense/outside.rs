@@ -1,7 +1,7 @@
 //! What a solver outside this crate needs to carry out the same experiment: the law's numbers, the
 //! state of a settled spoon, the motion of an action, and where departed grains fall.
 //!
-//! Such a solver follows the theory of the [crate](crate). It starts from [`Dispenser::state`],
+//! Such a solver follows the theory of the [crate]. It starts from [`Dispenser::state`],
 //! carries out the [`Plan`] of each action substep by substep, and hands the grains that left back
 //! to [`Spoon::landed`].
 
