@@ -30,7 +30,7 @@ DATABASE = {
 }
 ON_POSTGRES = "_on_postgresql"
 # Suites that only compute, the longest first.
-COMPUTE = ["physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_grains", "flip_policy", "flip_core"]
+COMPUTE = ["physics", "discovery", "flip_discover", "flip_sim", "flip_learn", "training", "flip_grains", "flip_policy", "flip_cuda", "flip_core"]
 # A niceness of 19 is not enough: a balance that wakes may then wait for milliseconds.
 IDLE = ["chrt", "--idle", "0"] if shutil.which("chrt") else ["nice", "-n", "19"]
 # Tests that run at a time in a suite in which they mostly wait.

@@ -82,7 +82,7 @@ const EXCEPTIONS: [(&str, &[&str]); 2] = [
 
 /// Names allowed in some modules only: crates that talk to the world, and words that mark
 /// asynchronous code.
-const CONFINED: [(&str, &[&str]); 40] = [
+const CONFINED: [(&str, &[&str]); 41] = [
     ("sqlx::", &["store", "testing"]),
     ("object_store::", &["store"]),
     ("axum::", &["api"]),
@@ -124,8 +124,12 @@ const CONFINED: [(&str, &[&str]); 40] = [
     ("std::net", &["api", "cli", "hardware", "emulate", "testing"]),
     (
         "Instant",
-        &["hardware", "emulate", "rig", "jobs", "store", "app", "api", "cli", "train", "python"],
+        &[
+            "hardware", "emulate", "rig", "jobs", "store", "app", "api", "cli", "train", "python",
+            "cuda",
+        ],
     ),
+    ("cudarc::", &["cuda"]),
     ("pyo3::", &["python"]),
     ("numpy::", &["python"]),
 ];

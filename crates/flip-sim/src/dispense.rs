@@ -4,9 +4,12 @@
 //! of its acceleration. A grain that leaves over the rim falls freely in the lab frame, and counts
 //! as in the vial if it hits the mouth.
 
+mod motion;
+pub mod outside;
+
 use super::constraints::{Vector, vector};
 use super::film::Recorder;
-use super::grains::{Departure, Grains};
+use super::grains::Grains;
 use super::law::{Law, SUBSTEP_S};
 use super::mechanisms::{Extensions, Site};
 use super::snapshot::{Camera, Snapshot};
@@ -16,6 +19,7 @@ use flip_core::domain::bench_check::ShakeCalibration;
 use flip_core::domain::motion::{MotionLimits, Move};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
+pub(super) use motion::{Flight, Pose};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
@@ -125,40 +129,6 @@ pub struct Dispenser {
     substeps: u32,
     camera: Option<Camera>,
     recorder: Option<Recorder>,
-}
-
-/// Pose of the spoon at one moment.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Pose {
-    pub pitch_rad: f64,
-    /// Position and velocity along the spoon's axis, m and m/s.
-    pub shift_m: f64,
-    pub shift_m_s: f64,
-}
-
-/// A grain that has left the spoon and falls freely: along the spoon's length at rest, across it,
-/// and up from the middle of the level rim.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Flight {
-    /// Position at departure, m.
-    pub at_m: [f64; 3],
-    /// Velocity at departure, m/s.
-    pub speed_m_s: [f64; 3],
-}
-
-impl Pose {
-    /// The flight of a grain that departs from a spoon in this pose.
-    fn flight(self, departure: &Departure, law: &Law) -> Flight {
-        let metres = |v: Vector| [0, 1, 2].map(|k| f64::from(v[k]) * law.diameter_m);
-        let x = metres(departure.x);
-        let v = metres(departure.v).map(|d| d / law.substep_s);
-        let (sin, cos) = libm::sincos(self.pitch_rad);
-        // The spoon's frame is rotated about its width and shifted along its own axis.
-        let room = |along: f64, up: f64| [along * cos + up * sin, -along * sin + up * cos];
-        let [at_x, at_z] = room(x[0] + self.shift_m, x[2]);
-        let [speed_x, speed_z] = room(v[0] + self.shift_m_s, v[2]);
-        Flight { at_m: [at_x, x[1], at_z], speed_m_s: [speed_x, v[1], speed_z] }
-    }
 }
 
 /// Substeps between two checks for departed grains and for rest.
@@ -318,36 +288,18 @@ impl Dispenser {
         }
     }
 
-    /// Pitches at a speed that rises and falls smoothly: pitch(t) = p0 + dp (1 - cos(pi t / T))
-    /// / 2.
     fn incline(&mut self, pitch_deg: f64) -> f64 {
-        let (start, change) =
-            (self.pitch_deg.to_radians(), (pitch_deg - self.pitch_deg).to_radians());
-        let duration = (pitch_deg - self.pitch_deg).abs() / self.settings.pitch_deg_s;
-        self.run(duration, |t| {
-            let share = (1.0 - libm::cos(std::f64::consts::PI * (t / duration).min(1.0))) / 2.0;
-            (Pose { pitch_rad: start + change * share, ..Pose::default() }, 0.0)
-        });
+        let (duration, motion) = motion::incline(&self.settings, [self.pitch_deg, pitch_deg]);
+        self.run(duration, motion);
         self.pitch_deg = pitch_deg;
         duration
     }
 
-    /// Moves out along the spoon's axis by the amplitude and back.
     fn shake(&mut self, amplitude_m: f64) -> f64 {
-        let stroke = Move::new(amplitude_m, self.settings.shake);
-        let (half, pitch_rad) = (stroke.duration_s(), self.pitch_deg.to_radians());
-        let (mut shift_m, mut shift_m_s, dt) = (0.0, 0.0, self.law.substep_s);
-        self.run(2.0 * half, |t| {
-            let a = if t < half {
-                stroke.acceleration_m_s2(t)
-            } else {
-                -stroke.acceleration_m_s2(t - half)
-            };
-            shift_m_s += a * dt;
-            shift_m += shift_m_s * dt;
-            (Pose { pitch_rad, shift_m, shift_m_s }, a)
-        });
-        2.0 * half
+        let (duration, motion) =
+            motion::shake(&self.settings, &self.law, self.pitch_deg, amplitude_m);
+        self.run(duration, motion);
+        duration
     }
 
     /// Waits until the powder rests; returns the time taken, s.
@@ -369,11 +321,7 @@ impl Dispenser {
     fn run(&mut self, duration_s: f64, mut motion: impl FnMut(f64) -> (Pose, f64)) {
         for substep in 0..self.law.substeps(duration_s) {
             let (pose, acceleration) = motion(f64::from(substep) * self.law.substep_s);
-            let inertia =
-                acceleration * self.law.substep_s * self.law.substep_s / self.law.diameter_m;
-            let (sin, cos) = libm::sincos(pose.pitch_rad);
-            let gravity = f64::from(self.law.gravity);
-            let body = vector((gravity * sin - inertia) as f32, 0.0, (-gravity * cos) as f32);
+            let body = motion::body(&self.law, pose, acceleration);
             self.grains.substep(&self.law, body, &Shape::Bowl(self.bowl));
             if substep % SLICE == SLICE - 1 {
                 self.collect(pose);
@@ -394,7 +342,7 @@ impl Dispenser {
     fn collect(&mut self, pose: Pose) {
         for departure in self.grains.take_departed(&Shape::Bowl(self.bowl)) {
             let flight = pose.flight(&departure, &self.law);
-            let meets = self.meets_the_mouth(flight);
+            let meets = flight.meets_the_mouth(&self.settings);
             match meets {
                 true => self.vial += departure.mass(),
                 false => self.spilled += departure.mass(),
@@ -403,17 +351,6 @@ impl Dispenser {
                 recorder.falls(departure.id, flight, meets, self.substeps);
             }
         }
-    }
-
-    /// Whether free fall from the point of departure hits the vial's mouth.
-    fn meets_the_mouth(&self, Flight { at_m, speed_m_s }: Flight) -> bool {
-        let height = at_m[2] + self.settings.drop_height_mm * 1e-3;
-        let g = super::law::GRAVITY;
-        let rise = speed_m_s[2];
-        let fall = (rise + (rise * rise + 2.0 * g * height.max(0.0)).sqrt()) / g;
-        let miss_x = at_m[0] + speed_m_s[0] * fall - self.settings.vial_offset_mm * 1e-3;
-        let miss_y = at_m[1] + speed_m_s[1] * fall;
-        libm::hypot(miss_x, miss_y) <= self.settings.vial_radius_mm * 1e-3
     }
 
     /// The grains in it.

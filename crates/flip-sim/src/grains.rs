@@ -1,5 +1,6 @@
 //! The state of a powder, and the sequence of one substep.
 
+mod outside;
 mod probes;
 
 use super::constraints::{Vector, add, choose, dot, scale, splat};

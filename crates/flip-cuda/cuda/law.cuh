@@ -1,0 +1,128 @@
+// The laws of one contact: the text of flip-sim's lib.rs and constraints.rs. Lengths in grain
+// diameters, time in substeps.
+#pragma once
+#include "platform.cuh"
+
+// One kind of contact; shares are of one substep and one side.
+struct Strengths {
+    // Of an overlap and of an approach velocity. The dampings of pairs are multiplied by the drag,
+    // because they are applied to velocities before it.
+    float normal, normal_damping;
+    float tangential, looseness;           // share of a stretch, and its inverse
+    float tangential_damping, friction;    // share of a slip velocity, Coulomb's coefficient
+    float attraction, inverse_ramp;        // of touching bodies; 1 / (reach - onset)
+    float onset, reach;                    // gaps at which touch begins and attraction ends
+};
+
+// A powder, its spoon and the grid over it; as `Law` in src/layout.rs.
+struct Law {
+    Strengths grain, wall;
+    float drag;                            // factor on every velocity
+    float inverse_squares[3];              // of the bowl's semi-axes
+    float deep;                            // the bowl's depth
+    float clear_bowl, clear_rim;           // shape functions below which the wall is out of reach
+    float rest_speed2;                     // squared speed below which all grains rest
+    int quiet, slice;                      // substeps of rest; substeps between two checks
+    float origin[3];                       // the grid's corner
+    float cell;                            // side of its cells
+    int size[3];                           // cells along each axis
+};
+
+constexpr float RADIUS = 0.5f;
+constexpr float NEAREST = 1e-6f;           // lower limit of distances
+constexpr float NEVER = 3.0e38f;           // a gap that is never closed
+
+// push = max(0, -k C - c u): reverses an overlap and slows an approach; never a pull.
+FN float separate(float gap, float opening, float stiffness, float damping) {
+    return larger(0.0f, stiffness * (0.0f - gap) - damping * opening);
+}
+
+// pull = b up to the onset, then a ramp that ends at the reach.
+FN float attract(float gap, const Strengths& c) {
+    return c.attraction * larger(0.0f, 1.0f - larger(0.0f, gap) * c.inverse_ramp);
+}
+
+// What friction does to a contact.
+struct Held {
+    Vec correction;  // of the first body, to be subtracted
+    Vec anchor;
+    bool slips;
+};
+
+// Tangential correction from the stretch since the contact last stuck, up to Coulomb's limit; a
+// contact that slips takes its anchor along, so that the next substep starts at the limit. Stretch
+// and slip velocity are weighed first and freed of their normal part together.
+FN Held stick(Vec offset, Vec anchor, Vec velocity, Vec normal, float damping, float limit,
+              const Strengths& c) {
+    Vec pull = add(scale(sub(offset, anchor), c.tangential), scale(velocity, damping));
+    Vec t = sub(pull, scale(normal, dot(pull, normal)));
+    float t2 = dot(t, t);
+    if (!(limit * limit < t2)) return Held{t, anchor, false};
+    t = scale(t, limit * inverse_root(t2));
+    return Held{t, sub(offset, scale(t, c.looseness)), true};
+}
+
+// The nearest point of the spoon.
+struct Touch {
+    float gap;
+    Vec normal;
+};
+
+// Inside, the distance to the ellipsoid is first order; above it only the rim can be touched.
+FN Touch bowl(const Law& law, Vec p) {
+    const float* inverse = law.inverse_squares;
+    float level = p.x * p.x * inverse[0] + p.y * p.y * inverse[1];
+    float f2 = level + p.z * p.z * inverse[2];
+    if (p.z < 0.0f ? f2 < law.clear_bowl : level < law.clear_rim) {
+        return Touch{NEVER, vec(0.0f, 0.0f, 1.0f)};
+    }
+    if (p.z < 0.0f && f2 < 1.0f) {
+        Vec gradient = vec(p.x * inverse[0], p.y * inverse[1], p.z * inverse[2]);
+        float steepness = larger(root(dot(gradient, gradient)), NEAREST);
+        float f = root(f2);
+        float gap = f2 < 0.01f ? law.deep : f * (1.0f - f) / steepness - RADIUS;
+        return Touch{gap, scale(gradient, -1.0f / steepness)};
+    }
+    float to_rim = 1.0f / larger(root(level), NEAREST);
+    Vec away = sub(p, vec(p.x * to_rim, p.y * to_rim, 0.0f));
+    float distance = larger(root(dot(away, away)), NEAREST);
+    float gap = level < 0.25f ? NEVER : distance - RADIUS;
+    return Touch{gap, scale(away, 1.0f / distance)};
+}
+
+// Whether a grain centred at `p` has left the spoon for good.
+FN bool has_left(const Law& law, Vec p) {
+    float f2 = p.x * p.x * law.inverse_squares[0] + p.y * p.y * law.inverse_squares[1]
+        + p.z * p.z * law.inverse_squares[2];
+    return p.z < -1.5f && f2 > 1.0f;
+}
+
+// Share of the damping of a grain with so many contacts.
+FN float share_of(float contacts) { return inverse_root(larger(1.0f, contacts)); }
+
+// Anchors of pairs are kept as three fixed-point numbers of 21 bits: 1.9e-6 diameters, what a float
+// resolves beyond 16 diameters. The rounding is the same for both signs, so both grains of a pair
+// keep exactly opposite anchors. The range is 2 to both sides, which only contacts that slip at
+// metres per second leave; what they remember then is limited by Coulomb's law like anything else.
+constexpr float ANCHOR_SCALE = 524288.0f;  // 2^19: products with it are exact
+constexpr float ANCHOR_ZERO = 9437184.0f;  // 2^23 + 2^20: the lowest 21 bits are the number
+constexpr Bits ANCHOR_BITS = 0x1fffff;
+
+FN Bits pack_one(float a) { return bits_of(a * ANCHOR_SCALE + ANCHOR_ZERO) & ANCHOR_BITS; }
+
+FN uint2 pack(Vec a) {
+    Bits x = pack_one(a.x), y = pack_one(a.y), z = pack_one(a.z);
+    return make_uint2(x | y << 21, y >> 11 | z << 10);
+}
+
+FN float unpack_one(Bits number) {
+    return float_of(0x4b000000u | (number & ANCHOR_BITS)) * (1.0f / ANCHOR_SCALE)
+        - ANCHOR_ZERO / ANCHOR_SCALE;
+}
+
+FN Vec unpack(uint2 a) {
+    return vec(unpack_one(a.x), unpack_one(a.x >> 21 | a.y << 11), unpack_one(a.y >> 10));
+}
+
+// The anchor as the other grain of the pair sees it.
+FN uint2 reversed(uint2 a) { return pack(scale(unpack(a), -1.0f)); }

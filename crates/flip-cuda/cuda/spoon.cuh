@@ -1,0 +1,396 @@
+// One spoon, substep by substep: the sequence of flip-sim's lib.rs and grains.rs.
+#pragma once
+#include "list.cuh"
+
+// The sums over one grain's contacts, in units of `Work::c`.
+struct Sum {
+    int x, y, z, contacts;
+};
+
+FN Sum in_units(Vec correction, bool touches) {
+    return Sum{rounded(correction.x * CORRECTION_UNIT), rounded(correction.y * CORRECTION_UNIT),
+               rounded(correction.z * CORRECTION_UNIT), touches};
+}
+
+// Adds to a grain's sums, which other threads add to as well.
+FN void give(const Work& work, int i, const Sum& sum) {
+    take_ticket(&work.c[i], sum.x);
+    take_ticket(&work.c[GRAINS + i], sum.y);
+    take_ticket(&work.c[2 * GRAINS + i], sum.z);
+    if (sum.contacts != 0) take_ticket(&work.c[3 * GRAINS + i], sum.contacts);
+}
+
+// A pair's correction, for both: what one grain gets the other one loses, to the last bit.
+FN void exchange(const Work& work, int i, int j, Vec correction, bool touches) {
+    Sum sum = in_units(correction, touches);
+    give(work, i, sum);
+    give(work, j, Sum{-sum.x, -sum.y, -sum.z, sum.contacts});
+}
+
+// What does not change within a substep.
+struct Pairs {
+    Strengths c;
+    float near2, onset;            // squared distance of any force; distance at which touch begins
+    bool attract;
+};
+
+// The correction of a pair's first grain.
+struct Pull {
+    Vec correction;
+    bool acts, touches;
+};
+
+FN Pull idle() { return Pull{vec(0.0f, 0.0f, 0.0f), false, false}; }
+
+// A pair that touched before, or touches now for the first time; its anchor is kept.
+FN Pull contact(const Work& work, const Pairs& law, int i, int j, bool touched, uint2 anchor,
+                uint2* keep) {
+    const Strengths& c = law.c;
+    float4 mine = work.p[i], other = work.p[j];
+    Vec offset = sub(first3(mine), first3(other));
+    float distance2 = dot(offset, offset);
+    if (!(distance2 < law.near2)) return idle();
+    Vec velocity = sub(load3(work.v, i), load3(work.v, j));
+    float inverse = inverse_root(distance2);
+    Vec normal = scale(offset, inverse);
+    float gap = distance2 * inverse - law.onset;
+    float along = 0.0f - attract(gap, c);
+    if (!(gap < 0.0f)) return Pull{scale(normal, along), law.attract, false};
+    float share = mine.w * other.w;
+    float push = separate(gap, dot(velocity, normal), c.normal, c.normal_damping * share);
+    Vec stuck = touched ? unpack(anchor) : offset;
+    Held held = stick(offset, stuck, velocity, normal, c.tangential_damping * share,
+                      c.friction * push, c);
+    if (!touched || held.slips) {
+        uint2 packed = pack(held.anchor);
+        *keep = make_uint2(packed.x, packed.y | TOUCHES);
+    }
+    return Pull{sub(scale(normal, along + push), held.correction), true, true};
+}
+
+// A pair without contact: its attraction, or that a contact begins.
+FN Pull attraction(const Work& work, const Pairs& law, int i, int j) {
+    Vec offset = sub(first3(work.p[i]), first3(work.p[j]));
+    float distance2 = dot(offset, offset);
+    if (!(distance2 < law.near2)) return idle();
+    float inverse = inverse_root(distance2);
+    float gap = distance2 * inverse - law.onset;
+    if (gap < 0.0f) return Pull{offset, false, true};
+    float along = 0.0f - attract(gap, law.c);
+    return Pull{scale(offset, inverse * along), law.attract, false};
+}
+
+// Adds the pairs listed as touching.
+FN void add_contacts(const Block& block, const Work& work, const Pairs& law, Memory& memory,
+                     int contacts) {
+    Bits ahead = block.thread < contacts ? memory.touching[block.thread] : 0;
+    ONE_BY_ONE
+    for (int t = block.thread; block.goes_on(t, contacts); t += block.threads) {
+        int i = int(ahead & 0xffff), j = int(ahead >> 16);
+        Pull pull = idle();
+        if (t < contacts) {
+            uint2 anchor = memory.anchors[t];
+            if (t + block.threads < contacts) ahead = memory.touching[t + block.threads];
+            bool touched = (anchor.y & TOUCHES) != 0;
+            pull = contact(work, law, i, j, touched, anchor, &memory.anchors[t]);
+            if (touched && !pull.touches) memory.anchors[t].y = anchor.y & ~TOUCHES;
+        }
+        meet();
+        if (pull.acts) exchange(work, i, j, pull.correction, pull.touches);
+        meet();
+    }
+}
+
+// Adds the other pairs. One that comes to touch goes over to those that do.
+FN void add_near(const Block& block, const Work& work, const Pairs& law, Memory& memory,
+                 int count) {
+    Bits ahead = block.thread < count ? memory.near[block.thread] : NO_PAIR;
+    ONE_BY_ONE
+    for (int t = block.thread; block.goes_on(t, count); t += block.threads) {
+        Bits pair = ahead;
+        ahead = t + block.threads < count ? memory.near[t + block.threads] : NO_PAIR;
+        int i = int(pair & 0xffff), j = int(pair >> 16);
+        Pull pull = idle();
+        if (pair != NO_PAIR) pull = attraction(work, law, i, j);
+        meet();
+        if (pull.touches) {
+            int place = take_ticket(&work.tally[TOUCHING], 1);
+            // With no room left the pair stays where it is, and the spoon is given up.
+            if (place < CONTACTS) {
+                memory.near[t] = NO_PAIR;
+                memory.touching[place] = pair;
+                pull = contact(work, law, i, j, false, make_uint2(0, 0), &memory.anchors[place]);
+            }
+        }
+        meet();
+        if (pull.acts) exchange(work, i, j, pull.correction, pull.touches);
+        meet();
+    }
+}
+
+// A grain's contact with the spoon.
+FN Pull wall_contact(const Law& law, Memory& memory, int i, float4 p, Vec u, bool touched) {
+    const Strengths& c = law.wall;
+    Touch near = bowl(law, first3(p));
+    if (!(near.gap < c.reach)) return idle();
+    float gap = near.gap - c.onset;
+    float along = 0.0f - attract(gap, c);
+    if (!(gap < 0.0f)) return Pull{scale(near.normal, along), true, false};
+    float push = separate(gap, dot(u, near.normal), c.normal, c.normal_damping * p.w);
+    Vec anchor = touched ? first3(memory.wall[i]) : first3(p);
+    Held held = stick(first3(p), anchor, u, near.normal, c.tangential_damping * p.w,
+                      c.friction * push, c);
+    if (!touched || held.slips) memory.wall[i] = with(held.anchor, 0.0f);
+    return Pull{sub(scale(near.normal, along + push), held.correction), true, true};
+}
+
+FN Vec coasting(Vec v, const Law& law, float2 body) {
+    return scale(vec(v.x + body.x, v.y, v.z + body.y), law.drag);
+}
+
+// Adds the contacts with the spoon.
+FN void add_walls(const Block& block, const Work& work, const Law& law, Memory& memory, int grains,
+                  float2 body) {
+    ONE_BY_ONE
+    for (int i = block.thread; block.goes_on(i, grains); i += block.threads) {
+        Pull pull = idle();
+        if (i < grains && work.p[i].x < 0.5f * FAR) {
+            bool touched = memory.wall_touches[i] != 0;
+            Vec u = coasting(load3(work.v, i), law, body);
+            pull = wall_contact(law, memory, i, work.p[i], u, touched);
+            if (pull.touches != touched) memory.wall_touches[i] = pull.touches;
+        }
+        meet();
+        if (pull.acts) give(work, i, in_units(pull.correction, pull.touches));
+        meet();
+    }
+}
+
+// Sums the corrections of every grain at the predicted positions.
+FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spoon, int grains,
+                int contacts, float2 body) {
+    Memory& memory = spoon.memory[spoon.head.generation];
+    float reach = 1.0f + law.grain.reach;
+    Pairs pairs =
+        Pairs{law.grain, reach * reach, 1.0f + law.grain.onset, law.grain.attraction > 0.0f};
+    // Without attraction nothing happens beyond touch.
+    if (!pairs.attract) pairs.near2 = pairs.onset * pairs.onset;
+    add_contacts(block, work, pairs, memory, contacts);
+    add_near(block, work, pairs, memory, least(work.tally[NEAR], PAIRS));
+    add_walls(block, work, law, memory, grains, body);
+}
+
+// What happens besides the motion after a substep.
+struct Check {
+    bool collects;                 // grains that left are taken out, and speeds looked at
+    bool predicts;                 // the next substep's acceleration is known
+    int place, part, substep;      // as in `Departed`
+};
+
+// Writes down a grain that left.
+FN void note(const Work& work, const Losses& losses, const Check& check, Vec x, Vec v) {
+    take_ticket(&work.tally[LISTED_LEFT], 1);
+    take_ticket(&work.tally[LEFT], 1);
+    Departed& gone = losses.list[take_ticket(losses.count, 1)];
+    gone.place = check.place;
+    gone.part = check.part;
+    gone.substep = check.substep;
+    store3(gone.x, 0, x);
+    store3(gone.v, 0, v);
+}
+
+// The prediction for one grain; returns whether it strayed from its path.
+FN bool predict_one(const Work& work, const Law& law, const Spoon& spoon, int i, Vec x, Vec v,
+                    float share, float2 body, float time) {
+    Vec p = add(x, coasting(v, law, body));
+    work.p[i] = with(p, share);
+    Vec off = sub(p, path_at(law, spoon, i, time));
+    return !(dot(off, off) < (SKIN - PATH_ERROR) * (SKIN - PATH_ERROR));
+}
+
+// A spoon at work: what all threads of its block know alike.
+struct Run {
+    int grains, contacts, fault, substeps;
+    float age, horizon;            // of the list, substeps
+    bool is_predicted, strayed;    // whether the next prediction is made, and with what result
+};
+
+FN float ahead(const Run& run) { return smaller(run.age + 1.0f, run.horizon); }
+
+// Predicts the state without contacts; returns whether one of this thread's grains strayed from its
+// path.
+FN bool predict(const Block& block, const Work& work, const Law& law, const Spoon& spoon,
+                const Run& run, float2 body) {
+    bool strayed = false;
+    float time = ahead(run);
+    for (int i = block.thread; i < run.grains; i += block.threads) {
+        Vec x = load3(work.x, i);
+        if (x.x > 0.5f * FAR) {
+            // Apart from each other, so that no two of them are a pair at no distance.
+            work.p[i] = make_float4(FAR + 4.0f * float(i), FAR, FAR, 1.0f);
+            continue;
+        }
+        Vec v = load3(work.v, i);
+        strayed |= predict_one(work, law, spoon, i, x, v, work.p[i].w, body, time);
+    }
+    return strayed;
+}
+
+// A grain's sums, which begin anew.
+FN int4 take_sum(const Work& work, int i) {
+    int4 c = make_int4(work.c[i], work.c[GRAINS + i], work.c[2 * GRAINS + i],
+                       work.c[3 * GRAINS + i]);
+    for (int k = 0; k < 4; k++) work.c[k * GRAINS + i] = 0;
+    return c;
+}
+
+// Moves every grain and, if asked to, takes out those that left. Returns the largest squared speed of
+// this thread's grains.
+FN float collect(const Block& block, const Work& work, const Law& law, int grains, float2 body,
+                 const Check& check, const Losses& losses) {
+    float fastest2 = 0.0f;
+    for (int i = block.thread; i < grains; i += block.threads) {
+        Vec x = load3(work.x, i);
+        if (x.x > 0.5f * FAR) continue;
+        int4 c = take_sum(work, i);
+        Vec v = add(coasting(load3(work.v, i), law, body), correction_of(c));
+        x = add(x, v);
+        work.p[i].w = share_of(float(c.w));
+        float speed2 = dot(v, v);
+        if (check.collects && has_left(law, x)) {
+            note(work, losses, check, x, v);
+            x = vec(FAR, FAR, FAR);
+            v = vec(0.0f, 0.0f, 0.0f);
+            speed2 = 0.0f;
+        }
+        // A speed that is NaN counts as the largest.
+        if (!(speed2 <= fastest2)) fastest2 = speed2;
+        store3(work.x, i, x);
+        store3(work.v, i, v);
+    }
+    return fastest2;
+}
+
+// Moves every grain and predicts the next substep, whose acceleration is `next`. Returns whether one
+// of this thread's grains strayed from its path.
+FN bool move(const Block& block, const Work& work, const Law& law, const Spoon& spoon,
+             const Run& run, float2 body, float2 next) {
+    bool strayed = false;
+    float time = ahead(run);
+    for (int i = block.thread; i < run.grains; i += block.threads) {
+        Vec x = load3(work.x, i);
+        if (x.x > 0.5f * FAR) continue;
+        int4 c = take_sum(work, i);
+        Vec v = add(coasting(load3(work.v, i), law, body), correction_of(c));
+        x = add(x, v);
+        store3(work.x, i, x);
+        store3(work.v, i, v);
+        strayed |= predict_one(work, law, spoon, i, x, v, share_of(float(c.w)), next, time);
+    }
+    return strayed;
+}
+
+// One substep. If asked to, it goes on to predict the next one, whose acceleration is `next`, or
+// collects the grains that left and returns the largest squared speed.
+FN float substep(const Block& block, const Work& work, const Law& law, Spoon& spoon, Run& run,
+                 float2 body, float2 next, const Check& check, const Losses& losses) {
+    if (!run.is_predicted) {
+        // A list of no age does not exist yet.
+        run.strayed =
+            block.any(run.age < 0.0f || predict(block, work, law, spoon, run, body));
+    }
+    if (run.strayed) {
+        run.horizon = build(block, work, law, spoon, run.grains, run.contacts, run.fault);
+        run.age = 0.0f;
+        predict(block, work, law, spoon, run, body);
+        block.barrier();
+    }
+    correct(block, work, law, spoon, run.grains, run.contacts, body);
+    if (check.collects && block.thread == 0) work.tally[FASTEST] = 0;
+    block.barrier();
+    run.contacts = work.tally[TOUCHING];
+    if (run.contacts > CONTACTS) run.fault = OVERFULL, run.contacts = CONTACTS;
+    run.age += 1.0f;
+    run.substeps++;
+    run.is_predicted = check.predicts;
+    if (check.predicts) {
+        run.strayed = block.any(move(block, work, law, spoon, run, body, next));
+        return 0.0f;
+    }
+    float fastest2 = collect(block, work, law, run.grains, body, check, losses);
+    if (!check.collects) return 0.0f;
+    // NaN has more bits than any number.
+    block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2) & 0x7fffffffu));
+    block.barrier();
+    fastest2 = float_of(Bits(work.tally[FASTEST]));
+    if (!(fastest2 <= 1.0f)) run.fault = TOO_FAST;
+    return fastest2;
+}
+
+// Carries out the parts of one plan: each motion, then rest until the powder lies still.
+FN void carry_out(const Block& block, const Work& work, const Law& law, Spoon& spoon,
+                  const Job& job, const Part* parts, const float2* bodies, int* rests,
+                  const Losses& losses, Run& run) {
+    for (int part = 0; part < job.parts; part++) {
+        Part todo = parts[job.first + part];
+        float2 standing = make_float2(todo.standing[0], todo.standing[1]);
+        int calm = 0, spent = 0;
+        for (int k = 0; run.fault == NONE; k++) {
+            bool moves = k < todo.substeps;
+            spent = k - todo.substeps;
+            if (!moves && spent % law.slice == 0 && (spent >= todo.rest_max || calm >= law.quiet)) {
+                break;
+            }
+            int in_slice = (moves ? k : spent) % law.slice;
+            bool collects = in_slice == law.slice - 1;
+            // After a check rest may end, and after a motion without rest another one begins.
+            bool predicts = !collects && (k + 1 != todo.substeps || todo.rest_max > 0);
+            Check check = Check{collects, predicts, job.place, part, moves ? k : -1};
+            float2 body = moves ? bodies[todo.first + k] : standing;
+            float2 next = k + 1 < todo.substeps ? bodies[todo.first + k + 1] : standing;
+            float fastest2 = substep(block, work, law, spoon, run, body, next, check, losses);
+            if (!moves && check.collects) {
+                calm = fastest2 < law.rest_speed2 ? calm + law.slice : 0;
+            }
+        }
+        if (block.thread == 0) rests[job.first + part] = most(spent, 0);
+    }
+}
+
+// One job from beginning to end: the state comes from memory and goes back to it.
+FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spoon,
+                const Job& job, const Part* parts, const float2* bodies, int* rests,
+                const Losses& losses, Outcome& outcome) {
+    Run run = Run{spoon.head.grains, spoon.head.contacts, spoon.head.fault, 0, -1.0f, 0.0f, false, false};
+    for (int i = block.thread; i < run.grains; i += block.threads) {
+        store3(work.x, i, first3(spoon.x[i]));
+        store3(work.v, i, first3(spoon.v[i]));
+        work.p[i].w = spoon.x[i].w;
+    }
+    int rebuilds = spoon.head.rebuilds;
+    if (block.thread == 0) {
+        work.tally[LISTED_LEFT] = spoon.head.left;
+        work.tally[LEFT] = 0;
+    }
+    block.barrier();
+    carry_out(block, work, law, spoon, job, parts, bodies, rests, losses, run);
+    block.barrier();
+    for (int i = block.thread; i < run.grains; i += block.threads) {
+        spoon.x[i] = with(load3(work.x, i), work.p[i].w);
+        spoon.v[i] = with(load3(work.v, i), 0.0f);
+    }
+    if (block.thread == 0) {
+        Head& head = spoon.head;
+        head.grains = run.grains;
+        head.contacts = run.contacts;
+        head.left = work.tally[LISTED_LEFT];
+        head.fault = run.fault;
+        head.substeps += run.substeps;
+        outcome.left = work.tally[LEFT];
+        outcome.fault = run.fault;
+        outcome.substeps = run.substeps;
+        outcome.rebuilds = head.rebuilds - rebuilds;
+        outcome.kept = run.grains - work.tally[LISTED_LEFT];
+        outcome.crowded = head.crowded;
+    }
+}

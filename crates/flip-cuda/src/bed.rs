@@ -1,0 +1,60 @@
+//! Settled spoonfuls, from which spoons on a card are filled.
+
+use crate::layout;
+use flip_sim::dispense::Dispenser;
+use flip_sim::dispense::outside::Spoon;
+
+/// A filled spoon at rest, ready for a card.
+#[derive(Debug, Clone)]
+pub struct Bed {
+    pub(crate) shape: Spoon,
+    pub(crate) law: Vec<u32>,
+    pub(crate) image: Vec<u32>,
+    pub(crate) grains: u32,
+    pub(crate) pitch_deg: f64,
+}
+
+/// Why a spoon cannot go onto a card.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Refused {
+    /// The kernels know the base simulator only.
+    #[error(
+        "the powder has mechanisms beyond the base simulator, which a card cannot compute; use the CPU"
+    )]
+    Mechanisms,
+    /// Too many grains, or too many contacts of one grain.
+    #[error(
+        "a spoon on a card has at most 2560 grains with 32 contacts each, this one has {0} grains; use the CPU"
+    )]
+    TooMany(usize),
+}
+
+impl Bed {
+    /// Takes the spoon as it is.
+    ///
+    /// # Errors
+    /// [`Refused`]: a powder or a spoonful that a card cannot compute.
+    pub fn of(dispenser: &Dispenser) -> Result<Self, Refused> {
+        let shape = dispenser.spoon().ok_or(Refused::Mechanisms)?;
+        let state = dispenser.state();
+        let grains = state.grains.len();
+        let image = layout::image(&state).ok_or(Refused::TooMany(grains))?;
+        Ok(Self {
+            law: layout::law(&shape),
+            shape,
+            image,
+            grains: grains as u32,
+            pitch_deg: dispenser.pitch_deg(),
+        })
+    }
+
+    /// Grains in it.
+    pub fn grains(&self) -> u32 {
+        self.grains
+    }
+
+    /// Powder in it, mg.
+    pub fn mg(&self) -> f64 {
+        f64::from(self.grains) * self.shape.grain_mg
+    }
+}

@@ -1,0 +1,250 @@
+//! A graphics card, opened with its kernel.
+
+use crate::layout;
+use crate::orders::{Orders, Raw};
+use crate::{Refused, Result};
+use cudarc::driver::sys::{CUdevice_attribute, CUfunction_attribute};
+use cudarc::driver::{
+    CudaContext, CudaFunction, CudaSlice, CudaStream, DriverError, LaunchConfig, PushKernelArg,
+};
+use cudarc::nvrtc::Ptx;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Built by `build_ptx.py` from the sources in `cuda/`.
+const KERNELS: &str = include_str!("../ptx/spoons.ptx");
+/// The same without fused multiplication and addition.
+const EXACT: &str = include_str!("../ptx/spoons_exact.ptx");
+/// Threads of a block, and the most for which the kernels are compiled.
+const THREADS: u32 = 896;
+/// Oldest cards whose instructions the kernels use.
+const CAPABILITY: (i32, i32) = (8, 0);
+/// Bytes of a block's static shared memory, rounded up.
+const STATIC: usize = 1024;
+
+/// Why a card did not do what was asked.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum CardError {
+    /// There is no driver on this machine.
+    #[error("there is no NVIDIA driver on this machine (libcuda is not found); use the CPU")]
+    NoDriver,
+    /// The driver is there, but too old for this program or not working.
+    #[error("the NVIDIA driver cannot be used ({0}); update it or use the CPU")]
+    BadDriver(String),
+    /// The card is too old.
+    #[error("{name} has compute capability {major}.{minor}, and 8.0 is needed; use the CPU")]
+    TooOld {
+        /// The card.
+        name: String,
+        /// Its capability.
+        major: i32,
+        /// Its capability.
+        minor: i32,
+    },
+    /// The card has too little memory beside its processors.
+    #[error(
+        "{name} gives a block {bytes} bytes of shared memory, which no kernel fits into; use the CPU"
+    )]
+    TooSmall {
+        /// The card.
+        name: String,
+        /// What a block may have.
+        bytes: usize,
+    },
+    /// The driver reported an error; the card cannot be used further by this process if a kernel
+    /// was running.
+    #[error("the card failed: {0}")]
+    Failed(String),
+    /// The card answered something that cannot be.
+    #[error("the card's answer makes no sense: {0}")]
+    Nonsense(&'static str),
+    /// A spoon or a bed that does not exist was named.
+    #[error("number {number} was asked for, and there are {count}, counted from 0")]
+    NoSuch {
+        /// What was asked for.
+        number: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// A spoon was given two actions in one step.
+    #[error("spoon {0} is named twice in one step; give its actions in two steps")]
+    Twice(usize),
+    /// A spoonful that a card cannot compute.
+    #[error(transparent)]
+    Refused(#[from] Refused),
+}
+
+impl From<DriverError> for CardError {
+    fn from(error: DriverError) -> Self {
+        Self::Failed(format!("{error:?}"))
+    }
+}
+
+/// An open card.
+#[derive(Debug, Clone)]
+pub struct Card {
+    stream: Arc<CudaStream>,
+    kernel: CudaFunction,
+    name: String,
+    multiprocessors: usize,
+    is_small: bool,
+    threads: u32,
+}
+
+impl Card {
+    /// Opens the card of this number, counted from 0, and compiles the kernel for it (a second).
+    ///
+    /// # Errors
+    /// [`CardError`]: no driver, no such card, or a card that cannot run the kernels.
+    pub fn open(number: usize) -> Result<Self> {
+        Self::with(number, KERNELS, false)
+    }
+
+    /// The same card with the kernel whose arithmetic is that of a processor, operation by
+    /// operation: slower, and equal to the twin in every bit.
+    ///
+    /// # Errors
+    /// As [`Card::open`].
+    pub fn open_exact(number: usize) -> Result<Self> {
+        Self::with(number, EXACT, false)
+    }
+
+    /// The same card with the kernel for cards with 99 KB of shared memory, whatever this one has.
+    ///
+    /// # Errors
+    /// As [`Card::open`].
+    pub fn open_small(number: usize) -> Result<Self> {
+        Self::with(number, KERNELS, true)
+    }
+
+    fn with(number: usize, kernels: &str, small: bool) -> Result<Self> {
+        #[allow(unsafe_code)]
+        // SAFETY: loading the driver's library runs its initialisers, which have no preconditions.
+        if !unsafe { cudarc::driver::sys::is_culib_present() } {
+            return Err(CardError::NoDriver);
+        }
+        // The bindings panic where the library lacks a function.
+        let opened = std::panic::catch_unwind(|| Self::opened(number, kernels, small));
+        opened.unwrap_or_else(|_| {
+            Err(CardError::BadDriver("it lacks functions that this program needs".to_owned()))
+        })
+    }
+
+    fn opened(number: usize, kernels: &str, small: bool) -> Result<Self> {
+        let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
+        let context = CudaContext::new(number).map_err(bad)?;
+        let name = context.name()?;
+        let (major, minor) = context.compute_capability()?;
+        if (major, minor) < CAPABILITY {
+            return Err(CardError::TooOld { name, major, minor });
+        }
+        let has = |what: CUdevice_attribute| context.attribute(what).map(|it| it as usize);
+        let bytes = has(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MAX_SHARED_MEMORY_PER_BLOCK_OPTIN)?;
+        if bytes < layout::SHARED_SMALL + STATIC {
+            return Err(CardError::TooSmall { name, bytes });
+        }
+        let is_small = small || bytes < layout::SHARED + STATIC;
+        let module = context.load_module(Ptx::from_src(kernels)).map_err(bad)?;
+        let kernel =
+            module.load_function(if is_small { "flip_spoons_small" } else { "flip_spoons" })?;
+        let shared = if is_small { layout::SHARED_SMALL } else { layout::SHARED };
+        kernel.set_attribute(
+            CUfunction_attribute::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES,
+            shared as i32,
+        )?;
+        let multiprocessors = has(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT)?;
+        let stream = context.new_stream()?;
+        Ok(Self { stream, kernel, name, multiprocessors, is_small, threads: THREADS })
+    }
+
+    /// The card's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Multiprocessors: spoons that are carried out at the same time.
+    pub fn multiprocessors(&self) -> usize {
+        self.multiprocessors
+    }
+
+    /// The same card with blocks of another number of threads, a multiple of 32 up to 896. Results
+    /// do not depend on it.
+    #[must_use]
+    pub fn with_threads(self, threads: u32) -> Self {
+        Self { threads: (threads / 32 * 32).clamp(32, THREADS), ..self }
+    }
+
+    pub(crate) fn stream(&self) -> &Arc<CudaStream> {
+        &self.stream
+    }
+
+    /// Carries out the orders on these spoons, and waits for the end.
+    pub(crate) fn carry_out(
+        &self,
+        laws: &CudaSlice<u32>,
+        spoons: &mut CudaSlice<u32>,
+        orders: &Orders,
+    ) -> Result<Raw> {
+        let jobs = orders.jobs.len() / layout::JOB;
+        if jobs == 0 {
+            return Ok(Raw::default());
+        }
+        let stream = &self.stream;
+        let job_table = stream.clone_htod(&orders.jobs)?;
+        // No table may be empty.
+        let parts = stream.clone_htod(&padded(&orders.parts, 0))?;
+        let bodies = stream.clone_htod(&padded(&orders.bodies, 0.0))?;
+        let mut rests = stream.alloc_zeros::<u32>((orders.parts.len() / layout::PART).max(1))?;
+        let mut lost = stream.alloc_zeros::<u32>(1)?;
+        let mut outcomes = stream.alloc_zeros::<u32>(jobs * layout::OUTCOME)?;
+        let room = if self.is_small { jobs * layout::ROOM } else { 16 };
+        #[allow(unsafe_code)]
+        // SAFETY: the kernel writes what it reads of both, and only what it wrote is copied back.
+        let (mut departed, mut room) = unsafe {
+            (
+                stream.alloc::<u32>(jobs * layout::GRAINS * layout::DEPARTED)?,
+                stream.alloc::<u8>(room)?,
+            )
+        };
+        let shared = if self.is_small { layout::SHARED_SMALL } else { layout::SHARED };
+        let config = LaunchConfig {
+            grid_dim: (jobs as u32, 1, 1),
+            block_dim: (self.threads, 1, 1),
+            shared_mem_bytes: shared as u32,
+        };
+        stream.synchronize()?;
+        let start = Instant::now();
+        let mut launch = stream.launch_builder(&self.kernel);
+        launch.arg(&job_table).arg(laws).arg(spoons).arg(&parts).arg(&bodies);
+        launch.arg(&mut rests).arg(&mut lost).arg(&mut departed).arg(&mut outcomes);
+        launch.arg(&mut room);
+        #[allow(unsafe_code)]
+        // SAFETY: the arguments are those of the kernel, in its order; every table has the length
+        // that the jobs name, the grains' lists have room for every grain of every job, and the
+        // shared memory is what the kernel divides up.
+        unsafe {
+            launch.launch(config)?;
+        }
+        stream.synchronize()?;
+        let kernel_s = start.elapsed().as_secs_f64();
+        let lost = stream.clone_dtoh(&lost)?;
+        stream.synchronize()?;
+        let lost = lost.first().map_or(0, |count| *count as usize) * layout::DEPARTED;
+        let raw = Raw {
+            outcomes: stream.clone_dtoh(&outcomes)?,
+            rests: stream.clone_dtoh(&rests)?,
+            departed: match departed.try_slice(..lost) {
+                Some(_) if lost == 0 => Vec::new(),
+                Some(left) => stream.clone_dtoh(&left)?,
+                None => return Err(CardError::Nonsense("more grains left than there were")),
+            },
+            kernel_s,
+        };
+        stream.synchronize()?;
+        Ok(raw)
+    }
+}
+
+fn padded<T: Clone>(table: &[T], with: T) -> Vec<T> {
+    if table.is_empty() { vec![with] } else { table.to_vec() }
+}

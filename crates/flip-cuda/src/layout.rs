@@ -1,0 +1,250 @@
+//! Where everything lies in the card's memory, in words of 32 bits: the Rust side of
+//! `cuda/state.cuh`.
+
+use crate::Fault;
+use flip_sim::dispense::outside::{Departed, Grain, Spoon, State, Strengths};
+
+/// Room for grains of a spoon.
+pub(crate) const GRAINS: usize = 2560;
+/// Room for touching pairs, and for others.
+const CONTACTS: usize = 16384;
+const PAIRS: usize = 16384;
+/// Room for cells of the search grid.
+const CELLS: usize = 4096;
+/// Words of a spoon's head, its law, a part of a plan, a job, an outcome, a departed grain.
+const HEAD: usize = 32;
+pub(crate) const LAW: usize = 37;
+pub(crate) const PART: usize = 5;
+pub(crate) const JOB: usize = 5;
+pub(crate) const OUTCOME: usize = 8;
+pub(crate) const DEPARTED: usize = 9;
+/// Words of what a spoon's grains remember.
+const MEMORY: usize = (4 + 1 + 1) * GRAINS + CONTACTS + 2 * CONTACTS + PAIRS;
+/// Where touching pairs, and their anchors, begin in the first memory.
+const TOUCHING: usize = MEMORIES + 6 * GRAINS;
+const ANCHORS: usize = TOUCHING + CONTACTS;
+/// In the second word of an anchor: the pair touches now.
+const TOUCHES: u32 = 1 << 31;
+/// Where that begins.
+const MEMORIES: usize = HEAD + 8 * GRAINS;
+/// Words of a spoon.
+pub(crate) const SPOON: usize = MEMORIES + 2 * MEMORY + 3 * GRAINS;
+/// Words of a spoon that were filled by the CPU: without the second memory.
+pub(crate) const IMAGE: usize = MEMORIES + MEMORY;
+/// Bytes of shared memory of the large and of the small kernel, and of the small one's room in the
+/// card's memory.
+pub(crate) const SHARED: usize = (4 + 3 + 4 + 3) * 4 * GRAINS + PLACES;
+pub(crate) const SHARED_SMALL: usize = (4 + 3) * 4 * GRAINS + PLACES;
+pub(crate) const ROOM: usize = (4 + 3) * 4 * GRAINS;
+const PLACES: usize = (2 * (2 * GRAINS + CELLS + 1)).next_multiple_of(16);
+
+/// Side of a grid cell, grain diameters: the search reaches at least this far.
+const CELL: f32 = 2.0;
+/// Grains higher than this above the rim share the grid's top cells, grain diameters.
+const HEADROOM: f32 = 10.0;
+/// Kept between the wall's reach and the shapes in which no wall is looked for, grain diameters.
+const CLEARANCE: f32 = 0.02;
+/// Fixed point of pairs' anchors, as in `cuda/law.cuh`.
+const ANCHOR_SCALE: f32 = 524_288.0;
+const ANCHOR_ZERO: f32 = 9_437_184.0;
+const ANCHOR_BITS: u32 = 0x1f_ffff;
+
+/// The law's numbers as the kernel reads them.
+pub(crate) fn law(spoon: &Spoon) -> Vec<u32> {
+    let [a, b, c] = spoon.semi_axes;
+    let mut words = Vec::with_capacity(LAW);
+    let mut tell = |numbers: &[f32]| words.extend(numbers.iter().map(|x| x.to_bits()));
+    // Pairs are given velocities before the drag.
+    tell(&strengths(&Strengths {
+        normal_damping: spoon.grain.normal_damping * spoon.drag,
+        tangential_damping: spoon.grain.tangential_damping * spoon.drag,
+        ..spoon.grain
+    }));
+    tell(&strengths(&spoon.wall));
+    let within = |axis: f32| (1.0 - (0.5 + spoon.wall.reach + CLEARANCE) / axis).max(0.0).powi(2);
+    tell(&[spoon.drag, 1.0 / (a * a), 1.0 / (b * b), 1.0 / (c * c), c]);
+    tell(&[within(a.min(b).min(c)), within(a.min(b)), spoon.rest_speed * spoon.rest_speed]);
+    words.extend([spoon.quiet, spoon.slice]);
+    let low = [-a - 3.0, -b - 3.0, -c - 1.5];
+    let high = [a + 3.0, b + 3.0, HEADROOM];
+    let mut cell = CELL;
+    let size = loop {
+        let size = [0, 1, 2].map(|k| ((high[k] - low[k]) / cell).ceil() as u32);
+        if size.iter().product::<u32>() as usize <= CELLS {
+            break size;
+        }
+        cell *= 1.05;
+    };
+    words.extend(low.iter().chain([&cell]).map(|x| x.to_bits()));
+    words.extend(size);
+    words
+}
+
+fn strengths(of: &Strengths) -> [f32; 10] {
+    [
+        of.normal,
+        of.normal_damping,
+        of.tangential,
+        1.0 / of.tangential,
+        of.tangential_damping,
+        of.friction,
+        of.attraction,
+        1.0 / (of.reach - of.onset),
+        of.onset,
+        of.reach,
+    ]
+}
+
+/// A spoon's state as the kernel reads it; none if it has too many grains or contacts.
+pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
+    let n = state.grains.len();
+    if n > GRAINS || state.stuck.len() > CONTACTS {
+        return None;
+    }
+    let mut words = vec![0; IMAGE];
+    words[0] = n as u32;
+    words[7] = state.stuck.len() as u32;
+    for (i, grain) in state.grains.iter().enumerate() {
+        let share = 1.0 / grain.contacts.max(1.0).sqrt();
+        set(&mut words, HEAD + 4 * i, [grain.x[0], grain.x[1], grain.x[2], share]);
+        set(&mut words, HEAD + 4 * (GRAINS + i), [grain.v[0], grain.v[1], grain.v[2], 0.0]);
+        let [x, y, z] = grain.wall_anchor.unwrap_or_default();
+        set(&mut words, MEMORIES + 4 * i, [x, y, z, 0.0]);
+        words[MEMORIES + 4 * GRAINS + i] = grain.id;
+        words[MEMORIES + 5 * GRAINS + i] = u32::from(grain.wall_anchor.is_some());
+    }
+    for (k, ([a, b], anchor)) in state.stuck.iter().enumerate() {
+        let [low, high] = pack(*anchor);
+        words[TOUCHING + k] = a | b << 16;
+        words[ANCHORS + 2 * k] = low;
+        words[ANCHORS + 2 * k + 1] = high | TOUCHES;
+    }
+    Some(words)
+}
+
+fn set(words: &mut [u32], at: usize, numbers: [f32; 4]) {
+    for (word, number) in words[at..at + 4].iter_mut().zip(numbers) {
+        *word = number.to_bits();
+    }
+}
+
+fn pack(anchor: [f32; 3]) -> [u32; 2] {
+    let [x, y, z] = anchor.map(|a| (a * ANCHOR_SCALE + ANCHOR_ZERO).to_bits() & ANCHOR_BITS);
+    [x | y << 21, y >> 11 | z << 10]
+}
+
+fn unpack([low, high]: [u32; 2]) -> [f32; 3] {
+    [low, low >> 21 | high << 11, high >> 10].map(|bits| {
+        (f32::from_bits(0x4b00_0000 | (bits & ANCHOR_BITS)) - ANCHOR_ZERO) / ANCHOR_SCALE
+    })
+}
+
+/// Which of the two memories of a spoon is the present one: where it lies among its words.
+pub(crate) fn present_memory(head: &[u32]) -> std::ops::Range<usize> {
+    let start = MEMORIES + head[2] as usize % 2 * MEMORY;
+    start..start + MEMORY
+}
+
+/// Words of a spoon before its memories: head, centres, velocities.
+pub(crate) const MOTION: usize = MEMORIES;
+
+/// The state of a spoon from its words up to the end of its first memory, which must be the present
+/// one; grains that left are not in it.
+pub(crate) fn state(words: &[u32]) -> State {
+    let n = (words[0] as usize).min(GRAINS);
+    let four = |at: usize| [0, 1, 2, 3].map(|k| f32::from_bits(words[at + k]));
+    let mut places = vec![None; n];
+    let mut state = State::default();
+    for (i, place) in places.iter_mut().enumerate() {
+        let [x, y, z, share] = four(HEAD + 4 * i);
+        if x > 5e5 {
+            continue;
+        }
+        let [vx, vy, vz, _] = four(HEAD + 4 * (GRAINS + i));
+        let [wx, wy, wz, _] = four(MEMORIES + 4 * i);
+        let touches = words[MEMORIES + 5 * GRAINS + i] != 0;
+        *place = Some(state.grains.len() as u32);
+        state.grains.push(Grain {
+            id: words[MEMORIES + 4 * GRAINS + i],
+            x: [x, y, z],
+            v: [vx, vy, vz],
+            // A grain without contacts has the share of one with a single contact.
+            contacts: (1.0 / (share * share)).round(),
+            wall_anchor: touches.then_some([wx, wy, wz]),
+        });
+    }
+    for k in 0..(words[7] as usize).min(CONTACTS) {
+        let [low, high] = [words[ANCHORS + 2 * k], words[ANCHORS + 2 * k + 1]];
+        let ends = [words[TOUCHING + k] & 0xffff, words[TOUCHING + k] >> 16];
+        let here = ends.map(|end| places.get(end as usize).copied().flatten());
+        if let ([Some(a), Some(b)], true) = (here, high & TOUCHES != 0) {
+            state.stuck.push(([a, b], unpack([low, high])));
+        }
+    }
+    // Contacts that began at the same time are listed in any order.
+    state.stuck.sort_unstable_by_key(|(ends, _)| *ends);
+    state
+}
+
+/// What became of a job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Outcome {
+    pub fault: Option<Fault>,
+    pub substeps: u32,
+    pub rebuilds: u32,
+    pub kept: u32,
+    pub crowded: u32,
+}
+
+pub(crate) fn outcome(words: &[u32]) -> Outcome {
+    let fault = match words[1] {
+        0 => None,
+        2 => Some(Fault::Overfull),
+        _ => Some(Fault::TooFast),
+    };
+    Outcome { fault, substeps: words[2], rebuilds: words[3], kept: words[4], crowded: words[5] }
+}
+
+/// A grain that left, with the place of its job.
+pub(crate) fn departed(words: &[u32]) -> (usize, Departed) {
+    let three = |at: usize| [0, 1, 2].map(|k| f32::from_bits(words[at + k]));
+    let substep = (words[2] != u32::MAX).then_some(words[2]);
+    (words[0] as usize, Departed { part: words[1], substep, x: three(3), v: three(6) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn anchors_survive_fixed_point_and_stay_opposite() {
+        for a in [[0.3, -0.91, 1.04], [0.0, 1e-6, -1.0], [1.4, 0.123_456, -0.000_7]] {
+            let (there, back) = (unpack(pack(a)), unpack(pack(a.map(|x: f32| -x))));
+            for k in 0..3 {
+                assert!((there[k] - a[k]).abs() < 1e-6, "{there:?} for {a:?}");
+                assert_eq!(there[k], -back[k]);
+            }
+        }
+    }
+
+    #[test]
+    fn a_state_survives_its_image() {
+        let grain = |id: u32, x: f32| Grain {
+            id,
+            x: [x, 0.5, -2.0],
+            v: [0.01, 0.0, x],
+            contacts: 2.0,
+            wall_anchor: (id == 1).then_some([x, 0.0, -2.5]),
+        };
+        let state = State {
+            grains: vec![grain(4, 0.0), grain(1, 1.0), grain(9, 2.0)],
+            stuck: vec![([0, 1], [-1.0, 0.0, 0.0]), ([1, 2], [-0.75, 0.25, 0.0])],
+        };
+        let found = super::state(&image(&state).expect("it has few grains"));
+        assert_eq!(found.grains, state.grains);
+        for ((ends, anchor), (expected, exact)) in found.stuck.iter().zip(&state.stuck) {
+            assert_eq!(ends, expected);
+            assert!((0..3).all(|k| (anchor[k] - exact[k]).abs() < 1e-6));
+        }
+    }
+}

@@ -1,0 +1,54 @@
+//! Spoons of simulated powder on a graphics card, many at once.
+//!
+//! The physics is that of [`flip_sim`], whose theory the kernels under `cuda/` follow: the same
+//! contacts, friction with memory, cohesion, damping and bowl, the same motion of the spoon, and the
+//! same judgement of what falls into the vial. One block of threads carries out one spoon's whole
+//! action in one launch. Beds are settled by the CPU ([`flip_sim::dispense::Dispenser`]); a spoon's
+//! state stays on the card between actions.
+//!
+//! # What is equal and what is not
+//!
+//! Results are the same bytes for the same inputs on one card and driver, whatever other spoons are
+//! in the batch and however many threads a block has. They are not those of the CPU: sums are in
+//! another order, and anchors of pairs are kept to 1.9e-6 grain diameters. A few thousand substeps
+//! later two such runs differ like two seeds; their statistics are compared by the program
+//! `gpu_report`.
+//!
+//! # The twin
+//!
+//! The same source compiles for a processor (`cuda/twin.cpp`). The tests step it beside
+//! [`flip_sim`], and the exact kernel ([`Card::open_exact`]) beside it on a card.
+//!
+//! # Limits
+//!
+//! Mechanisms beyond the base simulator and heaps are not on the card. A spoon has at most 2560
+//! grains.
+
+mod bed;
+mod card;
+#[cfg(test)]
+mod card_tests;
+mod layout;
+mod orders;
+mod spoons;
+#[cfg(test)]
+#[path = "twin_for_tests.rs"]
+mod twin;
+
+pub use bed::{Bed, Refused};
+pub use card::{Card, CardError};
+pub use spoons::{Poured, Spoons};
+
+/// Result of something asked from a card.
+pub type Result<T> = std::result::Result<T, CardError>;
+
+/// Why a spoon's simulation is no longer meaningful.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Fault {
+    /// A grain has no position, or moves more than a diameter in one substep.
+    #[error("a grain moves more than a diameter in one substep")]
+    TooFast,
+    /// Grains have more neighbours than the list has room for.
+    #[error("grains have fallen into each other")]
+    Overfull,
+}

@@ -1,0 +1,88 @@
+//! The twin: the kernel's source compiled for this processor, as a program that reads jobs from a
+//! file and writes what became of them.
+
+use crate::layout;
+use crate::orders::{Orders, Raw};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+/// Compiles the twin once per process; none, with the reason printed, where there is no g++.
+fn program() -> Option<&'static Path> {
+    static PROGRAM: OnceLock<Option<(tempfile::TempDir, PathBuf)>> = OnceLock::new();
+    let built = PROGRAM.get_or_init(|| {
+        let folder = tempfile::tempdir().expect("a folder for the twin");
+        let path = folder.path().join("twin");
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("cuda/twin.cpp");
+        if !source.exists() {
+            println!("skipped: the twin's source is not on this machine");
+            return None;
+        }
+        // Fused operations would round otherwise than flip-sim does.
+        let flags = [
+            "-O2",
+            "-std=c++17",
+            "-ffp-contract=off",
+            "-fno-math-errno",
+            "-Wall",
+            "-Wno-unknown-pragmas",
+        ];
+        match Command::new("g++").args(flags).arg(&source).arg("-o").arg(&path).status() {
+            Err(_) => {
+                println!("skipped: there is no g++ to compile the twin with");
+                None
+            }
+            Ok(status) => {
+                assert!(status.success(), "g++ refused {}", source.display());
+                Some((folder, path))
+            }
+        }
+    });
+    built.as_ref().map(|(_, path)| path.as_path())
+}
+
+/// Carries out orders on these spoons; their states afterwards, and what a card would return. None
+/// where the twin cannot be compiled.
+pub(crate) fn carry_out(
+    laws: &[Vec<u32>],
+    spoons: &[Vec<u32>],
+    orders: &Orders,
+) -> Option<(Vec<Vec<u32>>, Raw)> {
+    let program = program()?;
+    let folder = tempfile::tempdir().expect("a folder for the jobs");
+    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
+    let (jobs, parts) = (orders.jobs.len() / layout::JOB, orders.parts.len() / layout::PART);
+    let counts = [laws.len(), spoons.len(), jobs, parts, orders.bodies.len() / 2];
+    let mut words: Vec<u32> = counts.iter().map(|count| *count as u32).collect();
+    for table in laws.iter().chain(spoons).chain([&orders.jobs, &orders.parts]) {
+        words.extend(table);
+    }
+    words.extend(orders.bodies.iter().map(|x| x.to_bits()));
+    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+    std::fs::write(&input, bytes).expect("the jobs are written");
+    let status = Command::new(program).args([&input, &output]).status().expect("the twin runs");
+    assert!(status.success(), "the twin failed: {status}");
+    let bytes = std::fs::read(&output).expect("the twin's answer is read");
+    let words: Vec<u32> =
+        bytes.as_chunks().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect();
+    let mut rest = words.as_slice();
+    let mut take = |count: usize| {
+        let (taken, left) = rest.split_at(count);
+        rest = left;
+        taken.to_vec()
+    };
+    let states = spoons.iter().map(|_| take(layout::IMAGE)).collect();
+    let raw = Raw {
+        outcomes: take(jobs * layout::OUTCOME),
+        rests: take(parts),
+        departed: {
+            let lost = take(1)[0] as usize;
+            take(lost * layout::DEPARTED)
+        },
+        kernel_s: 0.0,
+    };
+    Some((states, raw))
+}
+
+#[path = "twin_tests.rs"]
+pub(crate) mod tests;

@@ -1,0 +1,216 @@
+//! The kernel's source, compiled for a processor, beside flip-sim.
+
+use super::carry_out;
+use crate::layout;
+use crate::orders::{self, Orders, Task};
+use flip_core::domain::bench::Action;
+use flip_core::domain::parameters::ParameterSet;
+use flip_sim::dispense::outside::{Grain, State};
+use flip_sim::dispense::{Dispenser, Settings};
+
+/// A small spoon, filled and at rest.
+pub(crate) fn small(cohesion: f64, friction: f64) -> Dispenser {
+    let set = ParameterSet::default()
+        .with("cohesion", cohesion)
+        .and_then(|set| set.with("friction", friction))
+        .and_then(|set| set.with("adhesion", cohesion))
+        .expect("they are within their bounds");
+    let settings =
+        Settings { particles: 350, semi_axes_mm: [2.4, 1.7, 1.0], ..Settings::default() };
+    Dispenser::new(&set, &settings, 5)
+}
+
+/// One job for each spoon: `bodies` of its own, without rest.
+fn driven(spoons: usize, bodies: &[Vec<[f32; 2]>]) -> Orders {
+    let mut orders = Orders::default();
+    for (place, bodies) in bodies.iter().enumerate().take(spoons) {
+        orders.jobs.extend([place, 0, place, 1, place].map(|number| number as u32));
+        orders.parts.extend([(orders.bodies.len() / 2) as u32, bodies.len() as u32, 0, 0, 0]);
+        orders.bodies.extend(bodies.iter().flatten());
+    }
+    orders
+}
+
+/// Largest differences between two states, grain by grain: centres, velocities, wall anchors, pair
+/// anchors; and how many contacts were decided otherwise: they closed, or slipped, in one only,
+/// because they were within rounding of doing so. (A contact that begins to slip takes the damping
+/// into its anchor, which jumps.)
+fn differences(a: &State, b: &State) -> ([f32; 4], usize) {
+    let sorted = |state: &State| {
+        let mut grains = state.grains.clone();
+        grains.sort_unstable_by_key(|grain| grain.id);
+        grains
+    };
+    let stuck = |state: &State| {
+        let all = state.stuck.iter().map(|(ends, anchor)| {
+            let [i, j] = ends.map(|end| state.grains[end as usize].id);
+            let sign = if i < j { 1.0 } else { -1.0 };
+            ((i.min(j), i.max(j)), anchor.map(|x| sign * x))
+        });
+        all.collect::<std::collections::BTreeMap<_, _>>()
+    };
+    let (mine, theirs) = (sorted(a), sorted(b));
+    assert_eq!(mine.len(), theirs.len());
+    let apart =
+        |x: [f32; 3], y: [f32; 3]| (0..3).fold(0.0, |most: f32, k| most.max((x[k] - y[k]).abs()));
+    // An anchor's part along the normal has no effect, and a slip at exactly the limit resets it.
+    let aside = |x: [f32; 3], y: [f32; 3]| {
+        let (off, of) = ([0, 1, 2].map(|k| x[k] - y[k]), |k: usize| x[k]);
+        let along = (0..3).map(|k| off[k] * of(k)).sum::<f32>()
+            / (0..3).map(|k| of(k) * of(k)).sum::<f32>();
+        (0..3).map(|k| (off[k] - along * of(k)).powi(2)).sum::<f32>().sqrt()
+    };
+    let (mut largest, mut single) = ([0.0f32; 4], 0);
+    let mut raise = |k: usize, by: f32| largest[k] = largest[k].max(by);
+    for (x, y) in mine.iter().zip(&theirs) {
+        assert_eq!(x.id, y.id);
+        // Far from the spoon a float resolves less.
+        if x.x.iter().all(|k| k.abs() < 16.0) {
+            raise(0, apart(x.x, y.x));
+        }
+        raise(1, apart(x.v, y.v));
+        match (x.wall_anchor, y.wall_anchor) {
+            (Some(p), Some(q)) => raise(2, apart(p, q)),
+            (None, None) => (),
+            _ => single += 1,
+        }
+    }
+    let (mine, theirs) = (stuck(a), stuck(b));
+    for (pair, anchor) in &mine {
+        match theirs.get(pair) {
+            Some(other) if aside(*anchor, *other) < 1e-5 => raise(3, aside(*anchor, *other)),
+            Some(_) | None => single += 1,
+        }
+    }
+    single += theirs.keys().filter(|pair| !mine.contains_key(pair)).count();
+    (largest, single)
+}
+
+/// The accelerations of an incline and a shake.
+fn bodies(dispenser: &Dispenser) -> Vec<[f32; 2]> {
+    let spoon = dispenser.spoon().expect("no mechanisms");
+    let plan = spoon.plan(30.0, Action::once(8.0, 12.0));
+    plan.parts.iter().flat_map(|part| part.body.clone()).collect()
+}
+
+#[test]
+fn one_substep_of_the_twin_is_one_of_flip_sim_to_float_rounding() {
+    let (mut substeps, mut single, mut largest) = (0, 0, [0.0f32; 4]);
+    for (cohesion, friction) in [(0.0, 0.5), (0.8, 0.9)] {
+        let mut dispenser = small(cohesion, friction);
+        let bodies = bodies(&dispenser);
+        let law = layout::law(&dispenser.spoon().expect("no mechanisms"));
+        // In flow and shaken: 320 substeps in ten stretches over the whole motion.
+        for stretch in 0..10 {
+            let begin = stretch * (bodies.len() - 40) / 10;
+            let (mut before, mut after) = (Vec::new(), Vec::new());
+            for body in &bodies[begin..begin + 32] {
+                before.push(layout::image(&dispenser.state()).expect("few grains"));
+                dispenser.drive(&[*body]);
+                after.push(dispenser.state());
+            }
+            dispenser.drive(&bodies[begin + 32..(stretch + 1) * (bodies.len() - 40) / 10]);
+            let each: Vec<Vec<[f32; 2]>> =
+                bodies[begin..begin + 32].iter().map(|body| vec![*body]).collect();
+            let orders = driven(before.len(), &each);
+            let Some((states, _)) = carry_out(std::slice::from_ref(&law), &before, &orders) else {
+                return;
+            };
+            for (state, after) in states.iter().zip(&after) {
+                let (apart, alone) = differences(&layout::state(state), after);
+                substeps += 1;
+                single += alone;
+                for k in 0..4 {
+                    largest[k] = largest[k].max(apart[k]);
+                }
+            }
+        }
+    }
+    println!(
+        "{substeps} substeps: largest differences {largest:?} diameters, {single} contacts decided otherwise"
+    );
+    // Centres to two units in the last place of 10 diameters, velocities to what gaps and anchors
+    // rounded so change (the largest share, 0.6, of 1e-6), anchors to a velocity so rounded times the
+    // looseness of 20 that turns it into a stretch.
+    assert!(largest[0] < 2e-6 && largest[1] < 6e-7, "{largest:?}");
+    assert!(largest[2] < 1e-5 && largest[3] < 1e-5, "{largest:?}");
+    // Of about 900 contacts in each, fewer than one in two thousand: a rounding of 1e-6 against gaps
+    // and slips of 1e-3 and more.
+    assert!(single * 2 < substeps, "{single} contacts decided otherwise");
+}
+
+#[test]
+fn the_twin_stays_beside_flip_sim_for_hundreds_of_substeps() {
+    let mut dispenser = small(0.3, 0.6);
+    let bodies = bodies(&dispenser);
+    let law = layout::law(&dispenser.spoon().expect("no mechanisms"));
+    let start = layout::image(&dispenser.state()).expect("few grains");
+    let lengths = [1, 25, 100, 300];
+    let each: Vec<Vec<[f32; 2]>> = lengths.iter().map(|n| bodies[..*n].to_vec()).collect();
+    let orders = driven(lengths.len(), &each);
+    let images = vec![start; lengths.len()];
+    let Some((states, _)) = carry_out(&[law], &images, &orders) else { return };
+    let mut done = 0;
+    for (state, length) in states.iter().zip(lengths) {
+        dispenser.drive(&bodies[done..length]);
+        done = length;
+        let (apart, single) = differences(&layout::state(state), &dispenser.state());
+        println!("{length} substeps: {apart:?} diameters, {single} contacts decided otherwise");
+        // A pile of grains multiplies differences from substep to substep, so the first hundred
+        // are compared: in them a wrong force of a hundredth of the weight moves a grain by 0.01.
+        assert!(apart[0] < if length > 100 { 0.1 } else { 1e-3 }, "{apart:?} after {length}");
+    }
+}
+
+#[test]
+fn a_whole_action_of_the_twin_pours_about_what_flip_sim_pours_and_loses_no_grain() {
+    let dispensers = [small(0.0, 0.4), small(0.5, 0.6)];
+    for mut dispenser in dispensers {
+        let spoon = dispenser.spoon().expect("no mechanisms");
+        let mut image = layout::image(&dispenser.state()).expect("few grains");
+        let law = layout::law(&spoon);
+        let (mut pitch_deg, mut grains) = (0.0, image[0]);
+        let (mut mine, mut theirs) = (0.0, 0.0);
+        for action in [Action::once(8.0, 0.0), Action::once(8.0, 8.0), Action::once(8.0, 12.0)] {
+            let tasks = [Task { spoon: 0, law: 0, shape: &spoon, pitch_deg, action, grains }];
+            let orders = orders::plan(&tasks);
+            let Some((states, raw)) = carry_out(std::slice::from_ref(&law), &[image], &orders)
+            else {
+                return;
+            };
+            let poured = orders::poured(&tasks, &orders, &raw).expect("it makes sense")[0];
+            assert_eq!(poured.fault, None);
+            let before = f64::from(grains) * spoon.grain_mg;
+            let after = poured.vial_mg + poured.spilled_mg + poured.spoon_mg;
+            assert!((before - after).abs() < 1e-9);
+            let expected = dispenser.step(action);
+            println!("{poured:?}\n{expected:?}");
+            (mine, theirs) = (mine + poured.vial_mg, theirs + expected.vial_mg);
+            pitch_deg = poured.pitch_deg;
+            grains = poured.kept;
+            image = states[0].clone();
+        }
+        // Two runs that differ by rounding scatter like two seeds: a tenth of the spoon at most.
+        assert!((mine - theirs).abs() < 0.1 * dispenser.spoon_mg().max(theirs), "{mine} {theirs}");
+    }
+}
+
+#[test]
+fn grains_need_not_be_in_order_and_a_spoon_that_fell_apart_is_a_fault() {
+    let dispenser = small(0.0, 0.5);
+    let law = layout::law(&dispenser.spoon().expect("no mechanisms"));
+    let mut state = dispenser.state();
+    state.grains.push(Grain {
+        id: 9999,
+        x: [0.0, 0.0, 3.0],
+        v: [0.0, 0.0, 1.5],
+        contacts: 0.0,
+        wall_anchor: None,
+    });
+    let image = layout::image(&state).expect("few grains");
+    let orders = driven(1, &[vec![[0.0, -2e-4]; 32]]);
+    let Some((_, raw)) = carry_out(&[law], &[image], &orders) else { return };
+    let outcome = layout::outcome(&raw.outcomes);
+    assert_eq!(outcome.fault, Some(crate::Fault::TooFast));
+    assert_eq!(outcome.substeps, 8, "it is given up at the first check");
+}

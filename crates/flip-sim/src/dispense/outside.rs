@@ -1,0 +1,348 @@
+//! What a solver outside this crate needs to carry out the same experiment: the law's numbers, the
+//! state of a settled spoon, the motion of an action, and where departed grains fall.
+//!
+//! Such a solver follows the theory of the [crate]. It starts from [`Dispenser::state`],
+//! carries out the [`Plan`] of each action substep by substep, and hands the grains that left back
+//! to [`Spoon::landed`].
+
+use super::super::grains::Departure;
+use super::super::law::Law;
+use super::super::snapshot::Snapshot;
+use super::super::walls::Shape;
+use super::motion::{self, Pose};
+use super::{Dispenser, REST_M_S, REST_S, SLICE, Settings};
+use crate::constraints::{Contact, vector};
+use flip_core::domain::bench::Action;
+
+/// Strengths of one kind of contact; shares are of one substep and one side.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Strengths {
+    /// Share of an overlap.
+    pub normal: f32,
+    /// Share of a tangential stretch.
+    pub tangential: f32,
+    /// Share of the approach velocity of a grain with one contact.
+    pub normal_damping: f32,
+    /// Share of the slip velocity of a grain with one contact.
+    pub tangential_damping: f32,
+    /// Coulomb friction coefficient.
+    pub friction: f32,
+    /// Attraction of touching bodies, diameters per substep squared.
+    pub attraction: f32,
+    /// Gap at which bodies begin to touch, diameters.
+    pub onset: f32,
+    /// Gap at which the attraction ends, diameters.
+    pub reach: f32,
+}
+
+impl From<&Contact> for Strengths {
+    fn from(contact: &Contact) -> Self {
+        Self {
+            normal: contact.normal,
+            tangential: contact.tangential,
+            normal_damping: contact.normal_damping,
+            tangential_damping: contact.tangential_damping,
+            friction: contact.friction,
+            attraction: contact.attraction,
+            onset: contact.onset,
+            reach: contact.reach,
+        }
+    }
+}
+
+/// A spoon and its powder's law, without the grains. Lengths in grain diameters and times in
+/// substeps unless a name says otherwise.
+#[derive(Debug, Clone, Copy)]
+pub struct Spoon {
+    settings: Settings,
+    law: Law,
+    /// Factor on every velocity per substep.
+    pub drag: f32,
+    /// Between grains.
+    pub grain: Strengths,
+    /// Between a grain and the spoon.
+    pub wall: Strengths,
+    /// Semi-axes of the bowl: the lower half of an ellipsoid about the origin, open at z = 0, tip
+    /// towards +x.
+    pub semi_axes: [f32; 3],
+    /// Mass of a grain, mg.
+    pub grain_mg: f64,
+    /// Substep, s.
+    pub substep_s: f64,
+    /// Substeps between two checks for departed grains and for rest.
+    pub slice: u32,
+    /// Speed below which all grains must stay for the powder to rest.
+    pub rest_speed: f32,
+    /// Substeps for which they must stay below it.
+    pub quiet: u32,
+}
+
+/// A grain of a spoon.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grain {
+    /// Number in the order of pouring.
+    pub id: u32,
+    /// Centre.
+    pub x: [f32; 3],
+    /// Velocity.
+    pub v: [f32; 3],
+    /// Number of contacts in the last substep, with the spoon's.
+    pub contacts: f32,
+    /// Where its contact with the spoon stuck, if it touches the spoon.
+    pub wall_anchor: Option<[f32; 3]>,
+}
+
+/// Grains and the memory of their contacts.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct State {
+    /// The grains, in no particular order.
+    pub grains: Vec<Grain>,
+    /// Touching pairs by their places in `grains`, and the position of the first relative to the
+    /// second where the contact stuck.
+    pub stuck: Vec<([u32; 2], [f32; 3])>,
+}
+
+/// A motion of the spoon, then rest if any.
+#[derive(Debug, Clone)]
+pub struct Part {
+    /// Gravity and inertia along x and z in each substep of the motion, diameters per substep
+    /// squared.
+    pub body: Vec<[f32; 2]>,
+    /// Duration of the motion, s.
+    pub duration_s: f64,
+    /// The same while the spoon stands after it.
+    pub standing: [f32; 2],
+    /// Most substeps for which rest is awaited after the motion, a multiple of the slice; 0 where
+    /// the next motion follows at once.
+    pub rest_max: u32,
+    kind: Kind,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Incline { from_deg: f64, to_deg: f64 },
+    Shake { pitch_deg: f64, amplitude_m: f64 },
+}
+
+/// An action, part by part.
+#[derive(Debug, Clone, Default)]
+pub struct Plan {
+    /// In the order in which they are carried out.
+    pub parts: Vec<Part>,
+    /// Pitch afterwards, degrees.
+    pub pitch_deg: f64,
+}
+
+/// A grain that left the spoon.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Departed {
+    /// Place of the part of the plan.
+    pub part: u32,
+    /// Substep of its motion after which the grain was found gone, counted from 0; none during the
+    /// rest.
+    pub substep: Option<u32>,
+    /// Centre.
+    pub x: [f32; 3],
+    /// Velocity.
+    pub v: [f32; 3],
+}
+
+impl Spoon {
+    /// Takes an action apart for a spoon at this pitch, as [`Dispenser::step`] carries it out.
+    pub fn plan(&self, pitch_deg: f64, action: Action) -> Plan {
+        let limits = self.settings.pitch;
+        let to_deg =
+            (pitch_deg + action.incline_change_deg).clamp(limits.lower_deg, limits.upper_deg);
+        let shake_mm = action.executed_shake_mm();
+        let strokes = if shake_mm > 0.0 { action.strokes } else { 0 };
+        let mut kinds = Vec::new();
+        if to_deg != pitch_deg {
+            kinds.push((Kind::Incline { from_deg: pitch_deg, to_deg }, strokes == 0));
+        }
+        let shake = Kind::Shake { pitch_deg: to_deg, amplitude_m: shake_mm * 1e-3 };
+        kinds.extend((0..strokes).map(|_| (shake, true)));
+        let parts = kinds.into_iter().map(|(kind, rests)| self.part(kind, rests)).collect();
+        Plan { parts, pitch_deg: to_deg }
+    }
+
+    fn part(&self, kind: Kind, rests: bool) -> Part {
+        let (duration_s, moments) = self.moments(kind);
+        let body = |(pose, acceleration)| {
+            let body = motion::body(&self.law, pose, acceleration);
+            [body[0], body[2]]
+        };
+        let slices = self.law.substeps(self.settings.settle_max_s).div_ceil(SLICE);
+        Part {
+            body: moments.into_iter().map(body).collect(),
+            duration_s,
+            standing: body((standing(kind), 0.0)),
+            rest_max: if rests { slices * SLICE } else { 0 },
+            kind,
+        }
+    }
+
+    /// Duration of a motion, s, and the pose and acceleration of each of its substeps.
+    fn moments(&self, kind: Kind) -> (f64, Vec<(Pose, f64)>) {
+        let times = |duration: f64| {
+            (0..self.law.substeps(duration)).map(|k| f64::from(k) * self.law.substep_s)
+        };
+        match kind {
+            Kind::Incline { from_deg, to_deg } => {
+                let (duration, motion) = motion::incline(&self.settings, [from_deg, to_deg]);
+                (duration, times(duration).map(motion).collect())
+            }
+            Kind::Shake { pitch_deg, amplitude_m } => {
+                let (duration, motion) =
+                    motion::shake(&self.settings, &self.law, pitch_deg, amplitude_m);
+                (duration, times(duration).map(motion).collect())
+            }
+        }
+    }
+
+    /// A state of this spoon as a [`Snapshot`] at a simulated time.
+    pub fn snapshot(&self, state: &State, time_s: f64) -> Snapshot {
+        let centre = |grain: &Grain| [grain.x[0], grain.x[1], grain.x[2], 0.5];
+        let ids: Vec<u32> = state.grains.iter().map(|grain| grain.id).collect();
+        let centres: Vec<_> = state.grains.iter().map(centre).collect();
+        Snapshot::of(&ids, &centres, self.law.diameter_m, time_s)
+    }
+
+    /// How many of these grains fell into the vial and how many missed it. A grain that names a
+    /// part or substep that the plan does not have counts as having missed.
+    pub fn landed(&self, plan: &Plan, departed: &[Departed]) -> [u32; 2] {
+        let mut landed = [0; 2];
+        for (place, part) in plan.parts.iter().enumerate() {
+            let of_part = || departed.iter().filter(|it| it.part as usize == place);
+            let moving = of_part().any(|it| it.substep.is_some());
+            let moments = if moving { self.moments(part.kind).1 } else { Vec::new() };
+            for it in of_part() {
+                let pose = match it.substep {
+                    None => Some(standing(part.kind)),
+                    Some(substep) => moments.get(substep as usize).map(|(pose, _)| *pose),
+                };
+                let [x, v] = [it.x, it.v].map(|it| vector(it[0], it[1], it[2]));
+                let meets = pose.is_some_and(|pose| {
+                    let departure = Departure { id: 0, x, v };
+                    pose.flight(&departure, &self.law).meets_the_mouth(&self.settings)
+                });
+                landed[usize::from(!meets)] += 1;
+            }
+        }
+        landed[1] = departed.len() as u32 - landed[0];
+        landed
+    }
+}
+
+/// The pose after a motion.
+fn standing(kind: Kind) -> Pose {
+    let (Kind::Incline { to_deg: pitch_deg, .. } | Kind::Shake { pitch_deg, .. }) = kind;
+    Pose { pitch_rad: pitch_deg.to_radians(), ..Pose::default() }
+}
+
+impl Dispenser {
+    /// This spoon's shape and law; none if its powder has mechanisms beyond the base simulator,
+    /// which the numbers cannot express.
+    pub fn spoon(&self) -> Option<Spoon> {
+        let law = self.law;
+        (!law.extended).then(|| Spoon {
+            settings: self.settings,
+            law,
+            drag: law.drag,
+            grain: Strengths::from(&law.grain),
+            wall: Strengths::from(&law.wall),
+            semi_axes: self.bowl.semi_axes,
+            grain_mg: self.grain_mg,
+            substep_s: law.substep_s,
+            slice: SLICE,
+            rest_speed: (REST_M_S * law.substep_s / law.diameter_m) as f32,
+            quiet: law.substeps(REST_S),
+        })
+    }
+
+    /// The grains in it and the memory of their contacts.
+    pub fn state(&self) -> State {
+        let three = |it: &[f32; 4]| [it[0], it[1], it[2]];
+        let grains = &self.grains;
+        let moving = grains.centres().iter().zip(grains.velocities());
+        let known = grains.ids().iter().zip(grains.wall_anchors());
+        let described = moving.zip(known).map(|((x, v), (id, anchor))| Grain {
+            id: *id,
+            x: three(x),
+            v: three(v),
+            contacts: v[3],
+            wall_anchor: (anchor[3] > 0.0).then(|| three(anchor)),
+        });
+        State { grains: described.collect(), stuck: grains.stuck() }
+    }
+
+    /// Advances by one substep for each of these accelerations along x and z, diameters per substep
+    /// squared, without looking for departed grains: for comparing solvers.
+    pub fn drive(&mut self, body: &[[f32; 2]]) {
+        for [x, z] in body {
+            let body = vector(*x, 0.0, *z);
+            self.grains.substep(&self.law, body, &Shape::Bowl(self.bowl));
+        }
+        self.substeps += body.len() as u32;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use flip_core::domain::parameters::ParameterSet;
+
+    #[test]
+    fn a_plan_carried_out_by_hand_pours_what_a_step_pours() {
+        let settings =
+            Settings { particles: 300, semi_axes_mm: [2.4, 1.7, 1.0], ..Default::default() };
+        let mut stepped = Dispenser::new(&ParameterSet::default(), &settings, 3);
+        let mut driven = stepped.clone();
+        let spoon = driven.spoon().expect("no mechanisms");
+        let mut pitch_deg = 0.0;
+        for action in [
+            Action::once(8.0, 0.0),
+            Action::once(8.0, 9.0),
+            Action { strokes: 2, ..Action::once(8.0, 12.0) },
+        ] {
+            let poured = stepped.step(action);
+            let plan = spoon.plan(pitch_deg, action);
+            pitch_deg = plan.pitch_deg;
+            let mut departed = Vec::new();
+            let mut duration_s = 0.0;
+            let mut collect = |driven: &mut Dispenser, part: usize, substep| {
+                let gone = driven.grains.take_departed(&Shape::Bowl(driven.bowl));
+                departed.extend(gone.into_iter().map(|it| Departed {
+                    part: part as u32,
+                    substep,
+                    x: [it.x[0], it.x[1], it.x[2]],
+                    v: [it.v[0], it.v[1], it.v[2]],
+                }));
+            };
+            for (place, part) in plan.parts.iter().enumerate() {
+                for (k, body) in part.body.iter().enumerate() {
+                    driven.drive(&[*body]);
+                    if k as u32 % spoon.slice == spoon.slice - 1 {
+                        collect(&mut driven, place, Some(k as u32));
+                    }
+                }
+                let (mut spent, mut calm) = (0, 0);
+                while spent < part.rest_max && calm < spoon.quiet {
+                    driven.drive(&[part.standing; 8]);
+                    collect(&mut driven, place, None);
+                    spent += spoon.slice;
+                    let still = driven.grains.speeds().0 < spoon.rest_speed;
+                    calm = if still { calm + spoon.slice } else { 0 };
+                }
+                duration_s += part.duration_s + f64::from(spent) * spoon.substep_s;
+            }
+            let [vial, spilled] = spoon.landed(&plan, &departed);
+            assert!((poured.vial_mg - f64::from(vial) * spoon.grain_mg).abs() < 1e-9);
+            assert!((poured.spilled_mg - f64::from(spilled) * spoon.grain_mg).abs() < 1e-9);
+            assert!((poured.duration_s - duration_s).abs() < 1e-9);
+            assert_eq!(stepped.state(), driven.state());
+            let seen = spoon.snapshot(&driven.state(), driven.snapshot().time_s);
+            assert_eq!(seen, driven.snapshot());
+        }
+        assert!(stepped.vial_mg() > 0.0, "nothing was poured, so nothing was compared");
+    }
+}
