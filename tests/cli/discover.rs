@@ -242,7 +242,7 @@ fn discover_prints_a_text_and_refuses_a_bad_file_before_anything_is_written() {
     let few: String = campaign().lines().take(15).map(|line| format!("{line}\n")).collect();
     for (bytes, named) in [
         (steep.as_bytes(), "row[3].repose_deg: must be a number from 5 to 85 deg"),
-        (&latin, "row[75]: is not UTF-8 text"),
+        (&latin, "row[39]: is not UTF-8 text"),
         (few.as_bytes(), "measurements: 14 runs of 3 powders say nothing"),
     ] {
         std::fs::write(&file, bytes).unwrap();
