@@ -36,6 +36,7 @@ fn one_and_two_grains_obey_their_exact_laws() {
 }
 
 #[test]
+#[ignore = "takes a minute of a core or more; `make laws` runs it"]
 fn silos_empty_and_bear_load_as_beverloo_and_janssen_say() {
     expect(&["beverloo", "janssen"]);
 }
@@ -47,6 +48,7 @@ fn tall_released_columns_spread_like_sand() {
 }
 
 #[test]
+#[ignore = "takes a minute of a core or more; `make laws` runs it"]
 fn low_released_columns_spread_like_sand() {
     expect(&["collapse_low"]);
 }
