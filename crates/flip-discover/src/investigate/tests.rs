@@ -191,6 +191,7 @@ fn angles_whose_signs_are_drawn_anew_scatter_as_much_at_every_level() {
 }
 
 #[test]
+#[ignore = "takes minutes of a core; `make test-long` runs it"]
 fn hidden_effects_are_found_and_named() {
     // Forms that the catalogue does not have. SD of 1 deg in noise of 2 deg.
     let humidity = |lab: &Laboratory, i: usize| {
