@@ -142,6 +142,7 @@ fn verdicts(count: u64, effect_deg: f64, effect: Effect) -> (usize, BTreeMap<Str
 }
 
 #[test]
+#[ignore = "takes minutes of a core; `make test-long` runs it"]
 fn where_nothing_is_wrong_little_is_found() {
     let (found, _) = verdicts(40, 0.0, |_, _| 0.0);
     // Two are expected; seven or more have a chance of 1 in 300 (binomial, 40 at 5 %).
