@@ -287,7 +287,7 @@ impl<'a> Site<'a> {
         let mut results = Vec::new();
         for asked in &self.asked {
             let job = self.get(&format!("/v1/{}/{}", asked.path, asked.id)).await?;
-            ensure!(job["state"] == "succeeded", "{job}");
+            ensure!(job["job"]["state"] == "succeeded", "{job}");
             results.push(job["result"].clone());
         }
         Ok(results)
