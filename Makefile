@@ -1,6 +1,6 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium, clients that others wrote; prints how many ran
-# make test-long   those tests, too, that take minutes each: rates of discovery, every law of nature; an hour and a half on two cores
+# make test-long   those tests, too, that take minutes each: rates of discovery, every law of nature; not run whole yet
 # make test-python   the Python package: its wheel, and every client that uses it
 # make laws   every law of nature of the validation suite, those that take minutes too: a quarter of an hour
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
@@ -14,7 +14,7 @@
 # make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal; not run yet (ARGS="3 100": repeats, size in %; FLIP_POSTGRES_BIN=folder of initdb)
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: a quarter of an hour (ARGS='--episodes 40')
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers; not run yet (ARGS="30 300 10000": seconds, requests a second, queued jobs)
-# make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped; whole it takes an hour or more, and was not run so (ARGS='4 2': 4 % of the faults, seed)
+# make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped; not run whole yet (ARGS='4 2': 4 % of the faults, seed)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes; not run yet
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
 # make pictures   the pictures of the page in README and docs, of doses it has weighed on the emulated bench: about five minutes
