@@ -1,7 +1,6 @@
 # make run    everything from a clean clone: fetch, build, and run the demonstration (ARGS=--exit ends it after the table)
 # make test   every test: Rust, page in a headless Chromium, clients that others wrote; prints how many ran
 # make test-long   those tests, too, that take minutes each: rates of discovery, every law of nature; not run whole yet
-# make test-python   the Python package: its wheel, and every client that uses it
 # make laws   every law of nature of the validation suite, those that take minutes too: a quarter of an hour
 # make bench-peers   the simulator's speed beside other simulators', which it installs (python3.11, PyPI)
 # make bench-learner   the learner's speed beside Stable-Baselines3's, which it installs (python3, PyPI)
@@ -28,7 +27,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-long test-python laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults slim page-report pictures proto dist lint check tidy
+.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults slim page-report pictures proto dist lint check tidy
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -41,9 +40,6 @@ run: setup
 
 test: setup chromium postgres
 	python3 .ci/tests.py
-
-test-python: setup
-	FLIP_PYTHON=1 python3 .ci/tests.py clients
 
 test-long: setup chromium postgres
 	FLIP_LONG=1 python3 .ci/tests.py

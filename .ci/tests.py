@@ -20,7 +20,7 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 LOGS = ROOT / "target/test"
-# Examples are compiled by `make lint`, flip-python by `make test-python`, which tests its wheel.
+# Examples are compiled by `make lint`, flip-python with its wheel by `tests/clients/test_python.py`.
 CARGO = ["cargo", "test", "--locked", "--workspace", "--exclude", "flip-experiments", "--exclude", "flip-python", "--lib", "--bins", "--tests"]
 
 # Suites that also run on PostgreSQL; there without those tests that compute most of the time, whatever the database.

@@ -1,6 +1,5 @@
 """Makes the environments of all clients. The gate does so while the compiler works, which leaves the network to it."""
 
-import os
 import subprocess
 import unittest
 
@@ -12,12 +11,10 @@ import test_tables
 import test_webhooks
 from service import environment
 
-# The Python package is tested by itself (`test_python.py`).
-PYTHON = os.environ.get("FLIP_PYTHON")
-
 for packages in (
     test_openapi.GENERATOR,
-    *([test_python.PLAIN, test_python.ADAPTERS] if PYTHON else []),
+    test_python.PLAIN,
+    test_python.ADAPTERS,
     test_madsci.MADSCI,
     test_sila.SILA2,
     test_sila.UNITELABS,
@@ -30,7 +27,6 @@ for packages in (
     except unittest.SkipTest:
         pass
 try:
-    if PYTHON:
-        test_python.build.tools(test_python.build.TOOLS)
+    test_python.build.tools(test_python.build.TOOLS)
 except subprocess.CalledProcessError:
     pass

@@ -30,12 +30,6 @@ PLAIN = ["python", *BASE, "attrs==26.1.0", "gymnasium==1.4.0", "pandas==3.1.1", 
 ADAPTERS = ["python-adapters", *BASE, "pylabrobot==0.2.2", "bluesky==1.15.1", "ophyd-async==0.21.3", "ivoryos==1.7.2", "mlflow-skinny==3.17.2", "alembic"]
 
 
-def setUpModule():
-    # Its wheel costs minutes of compiling, for which the gate has no room yet.
-    if not os.environ.get("FLIP_PYTHON"):
-        service.skip("make test-python tests the Python package")
-
-
 @functools.cache
 def wheel():
     """Builds the wheel in the profile of the tests: of FLIP's crates, only two are not compiled for them already."""
