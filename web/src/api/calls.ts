@@ -171,6 +171,8 @@ export const filmGrains = (id: string): Promise<ArrayBuffer> =>
 export const jobs = (query: LabelledQuery & { kind?: T.JobKind; state?: T.JobState; label?: string } = {}) => body(client.GET('/v1/jobs', { params: { query } }))
 /** The processes that compute them; a service that does not answer within this time counts as not responding. */
 export const workers = (patience_ms: number) => body(client.GET('/v1/workers', { signal: AbortSignal.timeout(patience_ms) }))
+/** The benches of all servers, likewise. */
+export const benches = (patience_ms: number) => body(client.GET('/v1/benches', { signal: AbortSignal.timeout(patience_ms) }))
 export const cancelJob = (id: string) => body(client.POST('/v1/jobs/{id}/cancel', { params: at(id) }))
 /** The same inputs as a failed or cancelled job, as a new job. */
 export const startAgain = (id: string) => body(client.POST('/v1/jobs/{id}/again', { params: at(id) }))

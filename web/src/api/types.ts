@@ -5,6 +5,7 @@ type Schemas = components['schemas']
 
 export type AuditRecord = Schemas['AuditRecord']
 export type AuditVerification = Schemas['AuditVerification']
+export type Bench = Schemas['Bench']
 export type BenchStatus = Schemas['BenchStatus']
 export type Calibration = Schemas['Labelled_Calibration']
 export type CalibrationMethod = Schemas['CalibrationMethod']
