@@ -4,8 +4,13 @@
 //! The laboratory is a separate process, so its arm, vial and balance see what a real bench would
 //! see: the driver's renewals end, and its dead-man levels and retracts the spoon. `FLIP_KILLS`
 //! sets the number of kills (`make reliability`: 300).
+//!
+//! On PostgreSQL (`FLIP_TEST_DATABASE=postgres`) one third of the faults are such kills, one third
+//! crashes of the database and one third cuts of the network between the two.
 
 use flip_core::domain::bench::Action;
+use flip_testing::Cluster;
+use flip_testing::cable::Cable;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::cell::{RefCell, RefMut};
@@ -36,6 +41,9 @@ const LIMIT_MG: f64 = TARGET_MG + TOLERANCE_MG;
 /// standard deviations of the difference of two readings of a balance that wanders by 0.5 mg, as
 /// the emulated one does, and half a step. A dose poured twice has an entire target too much.
 const DISPLAY_MG: f64 = 4.0 * std::f64::consts::SQRT_2 * 0.5 + 0.5;
+/// A dose that nobody can record ends by itself after 12 s (`RECORD` of the lane); with the way back
+/// of the spoon, within so many milliseconds.
+const ENDS_WITHIN_MS: u64 = 20_000;
 /// Shakes that may be recorded after a kill: one in progress, and one that had just ended.
 const LAST_SHAKES: usize = 2;
 
@@ -130,6 +138,16 @@ impl Laboratory {
         motions
     }
 
+    /// Pitch of the spoon, deg.
+    fn pitch_deg(&self) -> f64 {
+        self.motions().made.last().map_or(0.0, |motion| motion.pitch_deg)
+    }
+
+    /// Number of shakes from this motion on.
+    fn shakes_since(&self, first: usize) -> usize {
+        self.motions().made[first..].iter().filter_map(Motion::shake_mm).count()
+    }
+
     /// Powder in the vial, mg.
     fn vial_mg(&self) -> f64 {
         self.motions().made.last().map_or(0.0, |motion| motion.vial_mg)
@@ -151,6 +169,81 @@ impl Laboratory {
     }
 }
 
+/// A server of PostgreSQL of one laboratory, and the cable to it.
+struct Database {
+    cluster: Cluster,
+    cable: Cable,
+    url: String,
+}
+
+impl Database {
+    /// None on SQLite.
+    async fn start(folder: &Path) -> Option<Self> {
+        if !flip_testing::on_postgres() {
+            return None;
+        }
+        let cluster = Cluster::start(false).unwrap_or_else(|why| panic!("{why}"));
+        let cable = cluster.cable();
+        let url = cable.address(&cluster.database_of(folder).await);
+        Some(Self { cluster, cable, url })
+    }
+}
+
+/// What happens to a dose before its service is killed.
+#[derive(Debug, Clone, Copy)]
+enum Fault {
+    None,
+    /// The database crashes, and is there again a moment later; the service lives so many
+    /// milliseconds longer.
+    Crash(u64),
+    /// The network between service and database is cut for so many milliseconds.
+    Cut(u64),
+}
+
+impl Fault {
+    fn of(number: u64, drawn: u64, database: Option<&Database>) -> Self {
+        match (database, number % 3) {
+            (None, _) | (_, 0) => Self::None,
+            (_, 1) => Self::Crash(drawn % 10_000),
+            // 5 to 60 s.
+            _ => Self::Cut(5000 + drawn % 55_000),
+        }
+    }
+
+    async fn inflict(
+        self,
+        what: &str,
+        laboratory: &Laboratory,
+        service: &Service,
+        id: &str,
+        database: Option<&Database>,
+    ) {
+        let Some(database) = database else { return };
+        match self {
+            Self::None => {}
+            Self::Crash(later_ms) => {
+                database.cluster.crash();
+                tokio::time::sleep(Duration::from_millis(later_ms)).await;
+            }
+            Self::Cut(for_ms) => {
+                let before = laboratory.motions().made.len();
+                database.cable.cut();
+                tokio::time::sleep(Duration::from_millis(for_ms)).await;
+                let shakes = laboratory.shakes_since(before);
+                assert!(shakes <= LAST_SHAKES, "{what}: {shakes} shakes that nobody could record");
+                let is_long = for_ms > ENDS_WITHIN_MS;
+                let pitch_deg = laboratory.pitch_deg();
+                assert!(!is_long || pitch_deg == 0.0, "{what}: the spoon is at {pitch_deg} deg");
+                database.cable.mend();
+                if is_long {
+                    let ended = ["done", "aborted", "unknown"];
+                    service.wait_for(what, id, &ended).await;
+                }
+            }
+        }
+    }
+}
+
 /// The service, which is killed and restarted.
 struct Service {
     process: Process,
@@ -160,7 +253,12 @@ struct Service {
 }
 
 impl Service {
-    fn start(folder: &Path, laboratory: &Laboratory, token: Option<String>) -> Self {
+    fn start(
+        folder: &Path,
+        laboratory: &Laboratory,
+        database: Option<&Database>,
+        token: Option<String>,
+    ) -> Self {
         let data = folder.join("data");
         let bench = laboratory.bench.to_str().unwrap();
         let serve = [
@@ -172,6 +270,8 @@ impl Service {
             "--data-dir",
             data.to_str().unwrap(),
         ];
+        let database = database.iter().flat_map(|it| ["--database-url", &it.url]);
+        let serve: Vec<&str> = serve.into_iter().chain(database).collect();
         let (process, said) = started(&serve);
         let url = said["url"].as_str().unwrap().to_owned();
         let token = token.or_else(|| said["token"].as_str().map(str::to_owned)).expect("a token");
@@ -186,8 +286,18 @@ impl Service {
         self.token
     }
 
+    /// Asks until there is an answer: a crashed database is there again in a moment.
     async fn get(&self, path: &str) -> Value {
-        self.client.get(format!("{}{path}", self.url)).send().await.unwrap().json().await.unwrap()
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let answer = self.client.get(format!("{}{path}", self.url)).send().await.unwrap();
+            if answer.status().is_success() {
+                return answer.json().await.unwrap();
+            }
+            let status = answer.status();
+            assert!(Instant::now() < deadline, "{path}: {status} {}", answer.text().await.unwrap());
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
     }
 
     async fn post(&self, path: &str, key: Option<&str>, body: &Value) -> (u16, Value) {
@@ -306,7 +416,8 @@ struct Tally {
 async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
     let folder = TempDir::new().unwrap();
     let laboratory = Laboratory::start(folder.path());
-    let mut service = Service::start(folder.path(), &laboratory, None);
+    let database = Database::start(folder.path()).await;
+    let mut service = Service::start(folder.path(), &laboratory, database.as_ref(), None);
     calibrate(&service).await;
     let mut tally = Tally::default();
     for kill in kills {
@@ -335,24 +446,24 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
             }
         };
         tokio::time::sleep(Duration::from_millis(later_ms)).await;
+        let fault = Fault::of(kill / 3, drawn / 7, database.as_ref());
+        let what = format!("fault {kill}, {fault:?}");
+        fault.inflict(&what, &laboratory, &service, &id, database.as_ref()).await;
         let token = service.kill();
         let killed = laboratory.motions().made.len();
         let last = laboratory.wait_until_still();
-        let shakes =
-            laboratory.motions().made[killed..].iter().filter_map(Motion::shake_mm).count();
-        assert!(shakes <= LAST_SHAKES, "kill {kill}: {shakes} shakes after it");
+        let shakes = laboratory.shakes_since(killed);
+        assert!(shakes <= LAST_SHAKES, "{what}: {shakes} shakes after the kill");
         let poured_mg = laboratory.vial_mg() - before_mg;
-        let is_level =
-            laboratory.motions().made.last().is_none_or(|motion| motion.pitch_deg == 0.0);
-        assert!(is_level, "kill {kill}: the spoon is not level");
+        assert_eq!(laboratory.pitch_deg(), 0.0, "{what}: the spoon is not level");
 
-        service = Service::start(folder.path(), &laboratory, Some(token));
+        service = Service::start(folder.path(), &laboratory, database.as_ref(), Some(token));
         let state = service.state(&id).await;
         let latched = !service.get("/v1/bench").await["latch"].is_null();
         match state.as_str() {
             "unknown" => {
                 tally.unknown += 1;
-                assert!(latched, "kill {kill}: an interrupted dose leaves the bench latched");
+                assert!(latched, "{what}: an interrupted dose leaves the bench latched");
                 let (status, refused) = service.weigh(&format!("another-{kill}")).await;
                 let latched = (409, Some("urn:flip:problem:bench-latched"));
                 assert_eq!((status, refused["type"].as_str()), latched, "{refused}");
@@ -360,11 +471,11 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
             "done" | "aborted" => {
                 let weighing = service.get(&format!("/v1/weighings/{id}")).await["weighing"].take();
                 let (outcome, shown_mg) = (&weighing["outcome"], &weighing["reading_mg"]);
-                tally.ended.push(format!(
-                    "kill {kill}: {outcome}, {shown_mg} mg shown, {poured_mg:.2} mg"
-                ));
+                tally
+                    .ended
+                    .push(format!("{what}: {outcome}, {shown_mg} mg shown, {poured_mg:.2} mg"));
             }
-            other => panic!("kill {kill}: {other}"),
+            other => panic!("{what}: {other}"),
         }
         // The same request again finds the same weighing, and pours nothing.
         let (_, again) = service.weigh(&key).await;
@@ -372,16 +483,16 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         tokio::time::sleep(Duration::from_millis(150)).await;
         let decided_mm = service.decided_mm(&id).await;
         let made = laboratory.motions().made.clone();
-        assert_eq!(made.len(), last, "kill {kill}: {:?} after the restart", &made[last..]);
-        let accounted_mg = accounted_mg(&made[first..], &decided_mm)
-            .unwrap_or_else(|what| panic!("kill {kill}: {what}"));
+        assert_eq!(made.len(), last, "{what}: {:?} after it", &made[last..]);
+        let accounted_mg =
+            accounted_mg(&made[first..], &decided_mm).unwrap_or_else(|why| panic!("{what}: {why}"));
         let missing_mg = poured_mg - accounted_mg;
-        assert!(missing_mg.abs() < SAME_MG, "kill {kill}: {missing_mg} mg that fell in no motion");
+        assert!(missing_mg.abs() < SAME_MG, "{what}: {missing_mg} mg that fell in no motion");
         tally.poured_mg.push(poured_mg);
         if poured_mg > LIMIT_MG {
-            tally.over.push(format!(
-                "kill {kill}: {state}, {poured_mg:.2} mg, shakes of {decided_mm:.1?} mm"
-            ));
+            tally
+                .over
+                .push(format!("{what}: {state}, {poured_mg:.2} mg, shakes of {decided_mm:.1?} mm"));
         }
         if latched {
             service.clear().await;

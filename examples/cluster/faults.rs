@@ -4,6 +4,7 @@
 use super::process::{Flip, LOOK, Process, Server};
 use anyhow::{Context, Result, bail, ensure};
 use flip_testing::Cluster;
+use flip_testing::cable::Cable;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -22,14 +23,16 @@ enum Fault {
     StopWorker,
     RestartDatabase,
     CrashDatabase,
+    CutNetwork,
 }
 
-const ALL: [(Fault, &str, u32); 5] = [
+const ALL: [(Fault, &str, u32); 6] = [
     (Fault::KillWorker, "kill -9 of a worker", 700),
     (Fault::KillServer, "kill -9 of a server", 300),
     (Fault::StopWorker, "a worker stopped for 60 s, which then goes on", 100),
     (Fault::RestartDatabase, "PostgreSQL restarted", 100),
     (Fault::CrashDatabase, "PostgreSQL killed", 20),
+    (Fault::CutNetwork, "the network to a server or the workers cut for 5 to 60 s", 100),
 ];
 
 /// How long a stopped worker stands still.
@@ -57,7 +60,9 @@ pub(super) async fn run(
 
     flip_testing::speak_tls();
     let began = Instant::now();
-    let mut site = Site::start(flip, Client::builder().timeout(Duration::from_secs(5)).build()?);
+    let client = Client::builder().timeout(Duration::from_secs(5)).build()?;
+    let cables = [cluster.cable(), cluster.cable(), cluster.cable()];
+    let mut site = Site::start(flip, client, Vec::from(cables));
     site.prepare().await?;
     let mut done = BTreeMap::<Fault, u32>::new();
     for (k, &fault) in faults.iter().enumerate() {
@@ -99,9 +104,27 @@ struct Asked {
     id: String,
 }
 
+/// A network between some processes and the database, and until when it is cut.
+struct Line {
+    cable: Option<Cable>,
+    flip: Flip,
+    mended: Option<Instant>,
+}
+
+impl Line {
+    fn of(flip: &Flip, cable: Option<Cable>) -> Self {
+        let mut flip = flip.clone();
+        if let Some(cable) = &cable {
+            flip.url = cable.address(&flip.url);
+        }
+        Self { cable, flip, mended: None }
+    }
+}
+
 /// All processes, and what was asked of them.
-struct Site<'a> {
-    flip: &'a Flip,
+struct Site {
+    /// Of each server, and of the workers.
+    lines: [Line; 3],
     client: Client,
     servers: Vec<Server>,
     workers: Vec<(Process, Option<Instant>)>,
@@ -111,23 +134,25 @@ struct Site<'a> {
     asked: Vec<Asked>,
 }
 
-impl<'a> Site<'a> {
-    fn start(flip: &'a Flip, client: Client) -> Self {
+impl Site {
+    fn start(flip: &Flip, client: Client, cables: Vec<Cable>) -> Self {
+        let mut cables = cables.into_iter();
+        let lines = std::array::from_fn(|_| Line::of(flip, cables.next()));
         let (servers, workers) = (Vec::new(), Vec::new());
         let (token, policy, asked) = (String::new(), String::new(), Vec::new());
-        Self { flip, client, servers, workers, started: 0, token, policy, asked }
+        Self { lines, client, servers, workers, started: 0, token, policy, asked }
     }
 
     /// Starts everything, and makes what the jobs need.
     async fn prepare(&mut self) -> Result<()> {
-        self.servers.push(Server::of(self.flip.server("north")?));
+        self.servers.push(Server::of(self.lines[0].flip.server("north")?));
         while self.servers[0].said().is_none() {
             ensure!(!self.servers[0].has_ended()?, "the first server did not start");
             sleep(LOOK).await;
         }
         let said = self.servers[0].said().context("what the first server said")?;
         self.token = said["token"].as_str().context("the first token")?.to_owned();
-        self.servers.push(Server::of(self.flip.server("south")?));
+        self.servers.push(Server::of(self.lines[1].flip.server("south")?));
         self.mend()?;
         let policies = self.get("/v1/policies").await?;
         self.policy = policies["items"][0]["id"].as_str().context("a policy")?.to_owned();
@@ -138,9 +163,17 @@ impl<'a> Site<'a> {
 
     /// Starts again what has ended, and lets those go on that have stood still for long enough.
     fn mend(&mut self) -> Result<()> {
-        for (server, bench) in self.servers.iter_mut().zip(["north", "south"]) {
+        for line in &mut self.lines {
+            if line.mended.is_some_and(|then| then < Instant::now()) {
+                line.cable.iter().for_each(Cable::mend);
+                line.mended = None;
+            }
+        }
+        for ((server, bench), line) in
+            self.servers.iter_mut().zip(["north", "south"]).zip(&self.lines)
+        {
             if server.has_ended()? {
-                *server = Server::of(self.flip.server(bench)?);
+                *server = Server::of(line.flip.server(bench)?);
             }
         }
         for (worker, stopped) in &mut self.workers {
@@ -158,7 +191,8 @@ impl<'a> Site<'a> {
         self.workers = there;
         while self.workers.iter().filter(|it| it.1.is_none()).count() < 3 {
             self.started += 1;
-            self.workers.push((self.flip.worker(&format!("worker-{}", self.started))?, None));
+            self.workers
+                .push((self.lines[2].flip.worker(&format!("worker-{}", self.started))?, None));
         }
         Ok(())
     }
@@ -266,13 +300,24 @@ impl<'a> Site<'a> {
                 cluster.crash();
                 Ok(())
             }
+            Fault::CutNetwork => {
+                // One server always has its database.
+                let line = &mut self.lines[[0, 2][rng.random_range(0..2)]];
+                line.cable.iter().for_each(Cable::cut);
+                line.mended = Some(Instant::now() + Duration::from_secs(rng.random_range(5..=60)));
+                Ok(())
+            }
         }
     }
 
     /// Waits until every job has ended.
     async fn settle(&mut self) -> Result<()> {
         let began = Instant::now();
-        while self.open().await? > 0 || self.workers.iter().any(|it| it.1.is_some()) {
+        let waits = |site: &Self| {
+            site.workers.iter().any(|it| it.1.is_some())
+                || site.lines.iter().any(|line| line.mended.is_some())
+        };
+        while self.open().await? > 0 || waits(self) {
             if began.elapsed() > END {
                 bail!("jobs do not end: {}", self.get("/v1/jobs?limit=20").await?);
             }
@@ -310,7 +355,7 @@ fn sand() -> (&'static str, Value) {
 /// The results of the same jobs in one process with a data folder.
 async fn alone(flip: &Flip, folder: &Path, asked: &[Asked]) -> Result<Vec<Value>> {
     let client = Client::builder().timeout(Duration::from_secs(60)).build()?;
-    let mut site = Site::start(flip, client);
+    let mut site = Site::start(flip, client, Vec::new());
     site.servers.push(Server::of(flip.alone_server(&folder.join("alone"))?));
     while site.servers[0].said().is_none() {
         sleep(LOOK).await;

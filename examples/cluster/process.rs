@@ -12,6 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 pub(super) const LOOK: Duration = Duration::from_millis(500);
 
 /// The program with this database.
+#[derive(Clone)]
 pub(super) struct Flip {
     pub program: PathBuf,
     pub files: PathBuf,

@@ -9,11 +9,8 @@ use flip_bench::weigh::Event;
 use flip_core::domain::bench::{Action, BenchKind, Reading, Tick};
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use sqlx::{Connection, PgConnection};
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener};
-use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -183,55 +180,14 @@ async fn a_bench_whose_process_is_lost_is_latched_by_another_and_nothing_is_pour
     second.shutdown().await.unwrap();
 }
 
-/// A network between FLIP and its database, which can go away without a word.
-struct Network {
-    address: SocketAddr,
-    is_away: Arc<AtomicBool>,
-}
-
-impl Network {
-    fn to(socket: PathBuf) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = listener.local_addr().unwrap();
-        let is_away = Arc::<AtomicBool>::default();
-        let away = is_away.clone();
-        std::thread::spawn(move || {
-            for near in listener.incoming() {
-                let (near, far) = (near.unwrap(), UnixStream::connect(&socket).unwrap());
-                let (back, forth) = (near.try_clone().unwrap(), far.try_clone().unwrap());
-                let (there, here) = (away.clone(), away.clone());
-                std::thread::spawn(move || carry(near, far, &there));
-                std::thread::spawn(move || carry(forth, back, &here));
-            }
-        });
-        Self { address, is_away }
-    }
-}
-
-fn carry(mut from: impl Read, mut to: impl Write, is_away: &AtomicBool) {
-    let mut bytes = [0; 8192];
-    while let Ok(n @ 1..) = from.read(&mut bytes) {
-        while is_away.load(Ordering::SeqCst) {
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        if to.write_all(&bytes[..n]).is_err() {
-            return;
-        }
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_dose_ends_by_itself_when_the_network_to_its_database_goes_away() {
     let folder = tempfile::tempdir().unwrap();
     let Some(url) = address(folder.path()).await else { return };
-    let (_, sockets) = url.split_once("?host=").unwrap();
-    let mut socket = std::fs::read_dir(sockets).unwrap().flatten().map(|it| it.path());
-    let socket = socket.find(|it| it.extension().is_some_and(|it| it == "5432"));
-    let network = Network::to(socket.expect("its socket"));
-    let name = url.split(['/', '?']).nth(3).unwrap();
-    let url = format!("postgres://flip@{}/{name}?sslmode=disable", network.address);
+    let cable = Arc::new(flip_testing::cluster().unwrap().cable());
+    let url = cable.address(&url);
     let storage = Storage::on_server(&url, folder.path()).unwrap();
-    let (took, away) = (Arc::<Mutex<Vec<Duration>>>::default(), network.is_away.clone());
+    let (took, network) = (Arc::<Mutex<Vec<Duration>>>::default(), cable.clone());
     let poured = took.clone();
     // A dose without an end of its own, after whose second reading nothing comes through.
     let pour = move |_: &Pouring, on_event: OnEvent<'_>, _: &AtomicBool| {
@@ -239,7 +195,9 @@ async fn a_dose_ends_by_itself_when_the_network_to_its_database_goes_away() {
             let reading = Reading { mass_mg: f64::from(step), stable: true };
             let (t_s, action) = (f64::from(step), Action::default());
             let tick = Tick { step, t_s, pitch_deg: 10.0, action, reading, spoonful: 1 };
-            away.store(step == 2, Ordering::SeqCst);
+            if step == 2 {
+                network.cut();
+            }
             let begun = Instant::now();
             if on_event(&Event::Tick(&tick)).is_break() {
                 poured.lock().unwrap().push(begun.elapsed());
@@ -272,7 +230,7 @@ async fn a_dose_ends_by_itself_when_the_network_to_its_database_goes_away() {
     println!("a dose whose record was not answered ended after {waited:?}");
     assert!(waited < Duration::from_secs(14), "{waited:?}");
     assert!(app.bench().await.unwrap().moving.is_none() || waited > Duration::ZERO);
-    network.is_away.store(false, Ordering::SeqCst);
+    cable.mend();
     let ended = done(&app, &id).await;
     assert_eq!(ended.outcome, Some(Outcome::Aborted));
     let why = ended.error.unwrap();

@@ -8,6 +8,10 @@ use flip_core::domain::timestamp::Timestamp;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+/// How long a request is kept after nobody may carry it out any more, ms: a day. What it did is in
+/// the audit trail.
+const KEPT_MS: i64 = 24 * 3600 * 1000;
+
 /// A request to the owner of a bench.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BenchRequest<T> {
@@ -43,12 +47,17 @@ impl Store {
 }
 
 impl Tx {
-    /// Ask something of the owner of the bench that the store speaks for.
+    /// Ask something of the owner of the bench that the store speaks for. Those of days ago are
+    /// deleted.
     pub async fn ask_bench(
         &mut self,
         request: &BenchRequest<impl Serialize>,
         now: Timestamp,
     ) -> Result<()> {
+        sqlx::query("DELETE FROM bench_request WHERE until < $1")
+            .bind(now.unix_ms() - KEPT_MS)
+            .execute(&mut *self.inner)
+            .await?;
         let sql = "INSERT INTO bench_request (id, bench_name, body, asked_at, until) VALUES ($1, $2, $3, $4, $5)";
         sqlx::query(sql)
             .bind(&request.id)

@@ -5,8 +5,10 @@
 //! shell waits for the end of this process, however it ends, then stops the cluster and removes the
 //! folder.
 
+pub mod cable;
 pub mod s3;
 
+use cable::Cable;
 use sqlx::any::AnyPoolOptions;
 use sqlx::postgres::PgConnection;
 use sqlx::{Any, AnyPool, AssertSqlSafe, Connection, Transaction};
@@ -219,6 +221,11 @@ impl Cluster {
     /// The address of a database.
     pub fn address(&self, database: &str) -> String {
         format!("postgres://flip@localhost/{database}?host={}", self.folder.display())
+    }
+
+    /// A cable to the server.
+    pub fn cable(&self) -> Cable {
+        Cable::to(self.folder.join(".s.PGSQL.5432"))
     }
 
     /// The address of this folder's database, which is made when it is first asked for.

@@ -152,4 +152,15 @@ async fn a_request_to_a_bench_is_answered_once_and_a_container_holds_one_powder(
     assert!(store.open_bench_requests::<String>().await.unwrap().is_empty());
     assert_eq!(store.benches().await.unwrap()[0].holds, None);
     assert_eq!(store.verify_audit(None).await.unwrap().broken, None);
+
+    // The answer is kept for a day after the request's last moment.
+    let hours = |hours: i64| Timestamp::from_unix_ms(now().unix_ms() + hours * 3_600_000);
+    for (id, at, kept) in [("br-2", hours(23), true), ("br-3", hours(25), false)] {
+        let next = BenchRequest { id: id.to_owned(), body: "stop".to_owned(), until: at };
+        let mut tx = store.write().await.unwrap();
+        tx.ask_bench(&next, at).await.unwrap();
+        tx.commit().await.unwrap();
+        let answer: Option<String> = store.bench_answer("br-1").await.unwrap();
+        assert_eq!(answer.is_some(), kept, "{id}");
+    }
 }
