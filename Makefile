@@ -8,7 +8,7 @@
 # make training-report   trains ours and the four published orders, and weighs with all; hours, stop it and call it again (EPISODES=4000)
 # make discovery-report   effects hidden in data, hundreds of them, and the table of what was found; hours, stop it and call it again (NULLS=70 EFFECTS=10 WHOLE=10; ONLY=spoon POWDERS=4)
 # make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
-# make reliability   every fault of every emulated device at every state of a weighing, 300 kills, a minute of fuzzing for each parser: an hour or more, most of it kills
+# make reliability   every fault of every emulated device at every state of a weighing, 300 kills on each database, a minute of fuzzing for each parser: two hours or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
 # make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal; not run yet (ARGS="3 100": repeats, size in %; FLIP_POSTGRES_BIN=folder of initdb)
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: a quarter of an hour (ARGS='--episodes 40')
@@ -152,9 +152,10 @@ weighing-gain: setup
 	cargo build --release --locked --bin flip
 	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo experiment weighing_gain
 
-reliability: setup
+reliability: setup postgres
 	FLIP_RELIABILITY=full cargo test --release --locked --test reliability -- --nocapture
 	FLIP_KILLS=300 cargo test --release --locked --test kills -- --nocapture
+	FLIP_TEST_DATABASE=postgres FLIP_KILLS=300 cargo test --release --locked --test kills -- --nocapture
 	FLIP_FUZZ_SECONDS=60 cargo test --release --locked -p flip-bench --test fuzz
 
 page-report: setup web chromium
