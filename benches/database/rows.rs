@@ -76,7 +76,8 @@ async fn prepare(url: &str) -> anyhow::Result<()> {
     for row in [
         "INSERT INTO job (id, kind, spec, spec_sha256, state, created_at) VALUES ('c', 'calibration', '{}', decode(repeat('00', 32), 'hex'), 'queued', 0)",
         "INSERT INTO parameter_set (id, powder, calibration, position, parameters, repose_deg, runs, error_deg, created_at) \
-         VALUES ('ps', 'sand', 'c', 0, '{}', 36, 1, 0, 0)",
+         VALUES ('ps-1', 'sand', 'c', 0, '{}', 36, 1, 0, 0)",
+        "INSERT INTO policy (id, kind, manifest, bytes, sha256, created_at) VALUES ('p-1', 'fixed', '{}', '\\x00', repeat('0', 64), 0)",
     ] {
         sqlx::query(row).execute(&pool).await.context(row)?;
     }
@@ -131,13 +132,13 @@ async fn job(store: &Store, id: &str) -> anyhow::Result<()> {
 /// The records of a dose in as many commits as it had, without what it waits for.
 async fn weighing(store: &Store, id: &str, dose: &Dose) -> anyhow::Result<()> {
     let request = json!({ "powder": "sand", "target_mg": 10.0, "tolerance_lower_mg": 1.0,
-        "tolerance_upper_mg": 1.0, "policy": "p", "seed": 1, "asked": {} });
+        "tolerance_upper_mg": 1.0, "policy": "p-1", "seed": 1, "asked": {} });
     let intent = Intent {
         id: id.to_owned(),
         idempotency_key: id.to_owned(),
         request_sha256: vec![0; 32],
         request: serde_json::from_value(request)?,
-        parameter_set: "ps".to_owned(),
+        parameter_set: "ps-1".to_owned(),
     };
     let mut tx = store.write().await?;
     tx.insert_weighing(&intent, now()).await?;

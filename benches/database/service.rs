@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use sqlx::{AssertSqlSafe, PgPool};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tokio::time::{MissedTickBehavior, interval, sleep};
 
@@ -37,7 +38,7 @@ impl Drop for Process {
 }
 
 fn start(url: &str, folder: &Path, name: &str, words: &[&str]) -> anyhow::Result<Process> {
-    let child = Command::new(env!("CARGO_BIN_EXE_flip"))
+    let child = Command::new(flip_testing::program(env!("CARGO_BIN_EXE_flip")))
         .args(words)
         .arg("--data-dir")
         .arg(folder)
@@ -60,6 +61,9 @@ fn serve(url: &str, folder: &Path, bench: &str) -> anyhow::Result<(Process, Stri
     Ok((server, address, said["token"].clone()))
 }
 
+/// Calls that write, so far.
+static CALLS: AtomicU64 = AtomicU64::new(0);
+
 /// Callers of the servers, in turn.
 #[derive(Clone)]
 struct Callers {
@@ -73,8 +77,8 @@ impl Callers {
         let url = format!("{}{path}", self.addresses[k % self.addresses.len()]);
         let call = match body {
             Some(body) => {
-                let key = format!("{path} {body}");
-                self.client.post(url).header("Idempotency-Key", key).json(body)
+                let key = CALLS.fetch_add(1, Ordering::Relaxed);
+                self.client.post(url).header("Idempotency-Key", format!("call-{key}")).json(body)
             }
             None => self.client.get(url),
         };
@@ -127,7 +131,8 @@ pub async fn dose(cluster: &Cluster) -> anyhow::Result<Dose> {
     let (records, second) = counts().await?;
     let idle = (second - first) as f64 / begun.elapsed().as_secs_f64();
 
-    let asked = json!({ "powder": "sand", "target": { "value": 10, "unit": "mg" }, "seed": 1, "vial_check": "skip" });
+    let mg = |value: f64| json!({ "value": value, "unit": "mg" });
+    let asked = json!({ "powder": "sand", "target": mg(10.0), "tolerance": { "lower": 1, "upper": 1, "unit": "mg" }, "seed": 1, "vial_check": "skip" });
     let begun = Instant::now();
     let dose = callers.call(0, "/v1/weighings", Some(&asked)).await?;
     let path = format!("/v1/weighings/{}", dose["id"].as_str().context("its id")?);

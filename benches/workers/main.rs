@@ -102,7 +102,7 @@ impl Drop for Worker {
 }
 
 fn hire(url: &str, folder: &Path, name: &str) -> anyhow::Result<Worker> {
-    let worker = Command::new(env!("CARGO_BIN_EXE_flip"))
+    let worker = Command::new(flip_testing::program(env!("CARGO_BIN_EXE_flip")))
         .args(["worker", "--threads", "1", "--name", name, "--data-dir"])
         .arg(folder)
         .env("FLIP_DATABASE_URL", url)

@@ -74,6 +74,11 @@ pub fn speak_tls() {
     let _ = rustls::crypto::ring::default_provider().install_default();
 }
 
+/// The program to measure: another one, if `FLIP_BIN` names it.
+pub fn program(built: &str) -> PathBuf {
+    std::env::var_os("FLIP_BIN").map_or_else(|| built.into(), PathBuf::from)
+}
+
 /// SQL with bytes as SQLite writes them (`x'00'`, `zeroblob(32)`), for the database that tests run
 /// on.
 pub fn with_bytes(sql: &str) -> String {
