@@ -3,10 +3,10 @@
 
 use crate::layout::{self, Outcome};
 use crate::{Poured, Result};
-use flip_core::domain::bench::Action;
+use flip_sim::batch::Motion;
 use flip_sim::dispense::outside::{Departed, Plan, Spoon};
 
-/// One spoon's action.
+/// One spoon's motion.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Task<'a> {
     /// Places in the tables of spoons and laws.
@@ -15,7 +15,7 @@ pub(crate) struct Task<'a> {
     /// Shape and law of it.
     pub shape: &'a Spoon,
     pub pitch_deg: f64,
-    pub action: Action,
+    pub motion: Motion,
     /// Grains in it.
     pub grains: u32,
 }
@@ -66,7 +66,7 @@ fn on_all<T: Sync, R: Send>(items: &[T], each: impl Fn(usize, &T) -> R + Sync) -
 /// Plans every task.
 pub(crate) fn plan(tasks: &[Task]) -> Orders {
     let mut orders = Orders {
-        plans: on_all(tasks, |_, task| task.shape.plan(task.pitch_deg, task.action)),
+        plans: on_all(tasks, |_, task| task.shape.plan(task.pitch_deg, task.motion)),
         ..Orders::default()
     };
     let mut weights = Vec::with_capacity(tasks.len());
@@ -132,6 +132,7 @@ pub(crate) fn poured(tasks: &[Task], orders: &Orders, raw: &Raw) -> Result<Vec<P
             substeps: outcome.substeps,
             rebuilds: outcome.rebuilds,
             kept: outcome.kept,
+            left: [vial, spilled],
         }
     }))
 }
