@@ -1,6 +1,7 @@
 //! The card and the cores through the interface that both have.
 
 use crate::card_tests::card;
+use crate::orders::on_all;
 use crate::twin::tests::small;
 use crate::{Bed, Card};
 use flip_core::domain::bench::Action;
@@ -60,8 +61,8 @@ fn are_equivalent(cpu: &[f64], card: &[f64]) -> bool {
 fn a_card_pours_what_the_cores_pour_within_half_of_the_scatter_of_one_run() {
     let Some(card) = card(Card::open) else { return };
     for set in powders() {
-        let bed = |seed| Dispenser::new(&set, &Settings::default(), seed);
-        let beds: Vec<Dispenser> = (0..RUNS).map(bed).collect();
+        let seeds: Vec<u64> = (0..RUNS).collect();
+        let beds = on_all(&seeds, |_, seed| Dispenser::new(&set, &Settings::default(), *seed));
         let cpu = poured(&Cores, &beds).expect("the cores compute");
         let on_card = poured(&card, &beds).expect("the card computes");
         for what in [0, 1] {

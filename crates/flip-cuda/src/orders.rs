@@ -44,7 +44,10 @@ pub(crate) struct Raw {
 }
 
 /// Applies `each` to all items on all processors.
-fn on_all<T: Sync, R: Send>(items: &[T], each: impl Fn(usize, &T) -> R + Sync) -> Vec<R> {
+pub(crate) fn on_all<T: Sync, R: Send>(
+    items: &[T],
+    each: impl Fn(usize, &T) -> R + Sync,
+) -> Vec<R> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = items.len().div_ceil(threads).max(1);
     let each = &each;
