@@ -3,6 +3,7 @@
 use super::{Claim, Claimed, DEATHS_MAX, FAILURES_MAX};
 use crate::jobs::Job;
 use crate::{Error, Result, Store, testing};
+use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState, Progress, Subject};
 use flip_core::domain::labels::Labels;
 use flip_core::domain::timestamp::Timestamp;
@@ -248,9 +249,24 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
     sqlx::query(foreign).bind(vec![8; 32]).execute(ledger.store.writer().unwrap()).await.unwrap();
     let next = async |seconds| -> Vec<String> {
         let claimable = ledger.store.claimable(at(seconds)).await.unwrap();
-        claimable.into_iter().map(|(_, job)| job).collect()
+        claimable.into_iter().map(|it| it.job).collect()
     };
     assert_eq!(next(0).await, ["job", "training"]);
+    // A job for a card holds up no other of its kind, and neither does one for an unknown device.
+    for (id, device) in [("on a card", "cuda"), ("elsewhere", "abacus")] {
+        let older = "INSERT INTO job (seq, id, kind, spec, spec_sha256, state, created_at, subject) \
+                     VALUES ($1, $2, 'calibration', '{}', $3, 'queued', 0, $4)";
+        let subject = format!("{{\"powders\":[],\"device\":\"{device}\"}}");
+        let older = sqlx::query(older).bind(-2 - i64::from(device != "cuda")).bind(id);
+        let older = older.bind(id.as_bytes().to_vec()).bind(subject);
+        older.execute(ledger.store.writer().unwrap()).await.unwrap();
+    }
+    let claimable = ledger.store.claimable(at(0)).await.unwrap();
+    let found: Vec<_> = claimable.iter().map(|it| (it.job.as_str(), it.device)).collect();
+    let expected = [("on a card", Device::Cuda), ("job", Device::Cpu), ("training", Device::Cpu)];
+    assert_eq!(found, expected);
+    let gone = "DELETE FROM job WHERE seq < -1";
+    sqlx::query(gone).execute(ledger.store.writer().unwrap()).await.unwrap();
     ledger.granted("worker", 0).await;
     assert_eq!(next(LEASE).await, ["calibration 2", "training"]);
     assert_eq!(next(LEASE + 1).await, ["job", "training"]);
