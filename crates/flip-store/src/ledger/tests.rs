@@ -258,7 +258,7 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
                      VALUES ($1, $2, 'calibration', '{}', $3, 'queued', 0, $4)";
         let subject = format!("{{\"powders\":[],\"device\":\"{device}\"}}");
         let older = sqlx::query(older).bind(-2 - i64::from(device != "cuda")).bind(id);
-        let older = older.bind(id.as_bytes().to_vec()).bind(subject);
+        let older = older.bind(vec![id.as_bytes()[0]; 32]).bind(subject);
         older.execute(ledger.store.writer().unwrap()).await.unwrap();
     }
     let claimable = ledger.store.claimable(at(0)).await.unwrap();
@@ -270,4 +270,41 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
     ledger.granted("worker", 0).await;
     assert_eq!(next(LEASE).await, ["calibration 2", "training"]);
     assert_eq!(next(LEASE + 1).await, ["job", "training"]);
+}
+
+#[tokio::test]
+async fn a_job_whose_device_failed_keeps_its_checkpoint_from_which_another_begins() {
+    let ledger = Ledger::new().await;
+    let lease = ledger.granted("worker", 0).await.lease;
+    let sha256 = "a".repeat(64);
+    ledger.write(async |tx| tx.set_checkpoint(&lease, &sha256).await).await.unwrap();
+    ledger
+        .write(async |tx| tx.fail_keeping_checkpoint(&lease, "the card was taken", at(1)).await)
+        .await
+        .unwrap();
+    let job = ledger.job().await;
+    assert_eq!((job.state, job.error.as_deref()), (JobState::Failed, Some("the card was taken")));
+    let kept = ledger.store.checkpoint_of("job").await.unwrap();
+    assert_eq!(kept.as_ref(), Some(&sha256));
+    // Nobody goes on with the failed one, and its old worker writes nothing more.
+    assert_eq!(ledger.claim("next", 99).await, Claim::Ended);
+    let late = ledger.write(async |tx| tx.set_checkpoint(&lease, &"b".repeat(64)).await).await;
+    assert!(matches!(late, Err(Error::Fenced)), "{late:?}");
+    let claim = ledger
+        .write(async |tx| {
+            let subject = Subject::default();
+            let of = (Some("job"), &Labels::default());
+            tx.insert_job("other", JobKind::Training, ("{}", &[9; 32]), &subject, of, at(2))
+                .await?;
+            tx.begin_from("other", &sha256).await?;
+            tx.claim("other", "next", at(3), at(33)).await
+        })
+        .await
+        .unwrap();
+    let Claim::Granted(claimed) = claim else { panic!("{claim:?}") };
+    assert_eq!(claimed.checkpoint, Some(sha256));
+    // Without a checkpoint there is none to keep.
+    let lease = claimed.lease;
+    ledger.write(async |tx| tx.end(&lease, JobState::Failed, None, at(4)).await).await.unwrap();
+    assert_eq!(ledger.store.checkpoint_of("other").await.unwrap(), None);
 }
