@@ -9,7 +9,7 @@ set -euo pipefail
 flip=$1
 data=${2:-$(mktemp -d)}
 quick=(--method sequential --sets 4 --tolerance-deg 3 --particles 600)
-evaluate=(evaluate --powders sand,salt --controllers paced,schedule --targets-mg 10,15 --repeats "${REPEATS:-20}" --json)
+evaluate=(evaluate --powders sand,salt,sugar --controllers paced,schedule --targets-mg 10,15 --repeats "${REPEATS:-20}" --json)
 train=(train --seed 1 --json)
 
 took() { # name, command...: prints how long it took; its document is in $data/NAME.json

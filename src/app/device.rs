@@ -33,8 +33,8 @@ impl App {
             return Ok(());
         }
         let advice = match self.store().is_shared() {
-            true => "; leave the field out, or start `flip worker` on a machine with a card",
-            false => "; leave the field out to compute on the CPU",
+            true => ", by leaving this field out, or start `flip worker` on a machine with a card",
+            false => ", by leaving this field out",
         };
         Err(FieldError::new("device", format!("no graphics card can be used: {found}{advice}"))
             .into())

@@ -207,7 +207,7 @@ impl Jobs {
     pub async fn card(&self) -> Result<String, String> {
         match self.computes {
             true => card::found(&self.shared().functions).await,
-            false => Err("this process computes no jobs".to_owned()),
+            false => Err("this process computes no jobs; use the CPU".to_owned()),
         }
     }
 

@@ -229,7 +229,7 @@ async fn bad_powders_and_jobs_are_refused_by_field() {
     let on_card = service.request("POST", "/v1/evaluations").bearer_auth(&token);
     let refused = on_card.json(&json!({ "device": "cuda" })).send().await.unwrap();
     let refused = problem(refused, 400).await.to_string();
-    for said in ["no driver in this test", "leave the field out"] {
+    for said in ["no driver in this test", "leaving this field out"] {
         assert!(refused.contains(said), "{refused}");
     }
     let jobs: Value = service.get("/v1/jobs").await.json().await.unwrap();

@@ -41,7 +41,7 @@ async fn without_a_card_it_is_refused_at_once_with_what_was_found_and_what_to_do
     calibrated(&app, "sand").await;
     let (field, message) = refused(&app, on_card()).await;
     assert_eq!(field, "device");
-    for said in ["no driver in this test", "leave the field out"] {
+    for said in ["no driver in this test", "leaving this field out"] {
         assert!(message.contains(said), "{message}");
     }
     let training = TrainingRequest {
