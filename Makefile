@@ -14,6 +14,7 @@
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: a quarter of an hour (ARGS='--episodes 40')
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers; not run yet (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped; not run whole yet (ARGS='4 2': 4 % of the faults, seed)
+# make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, an evaluation and a training by the commands; without a card it says so (ARGS=speed)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes; not run yet
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
 # make pictures   the pictures of the page in README and docs, of doses it has weighed on the emulated bench: about five minutes
@@ -27,7 +28,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults slim page-report pictures proto dist lint check tidy
+.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults gpu-report slim page-report pictures proto dist lint check tidy
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -184,6 +185,11 @@ cluster: setup postgres
 faults: setup postgres
 	cargo build --release --locked --bin flip --example cluster
 	$(FLIP_BUILT) cargo run --quiet --release --locked --example cluster -- faults $(ARGS)
+
+gpu-report: setup
+	cargo run --release --locked -p flip-cuda --example gpu_report -- $(ARGS)
+	cargo build --release --locked
+	.ci/gpu_report.sh "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
 
 # What has training stays where it was.
 slim: setup

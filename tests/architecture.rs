@@ -32,6 +32,8 @@ const ARROWS: [(&str, &[&str]); 25] = [
             "weigh",
             "rig",
             "store",
+            // Jobs that ask for a graphics card; nobody else may depend on there being one.
+            "cuda",
         ],
     ),
     (
@@ -61,7 +63,7 @@ const ARROWS: [(&str, &[&str]); 25] = [
 ];
 
 /// Crates that are one room.
-const ALONE: [&str; 5] = ["discover", "grains", "policy", "sim", "store"];
+const ALONE: [&str; 6] = ["cuda", "discover", "grains", "policy", "sim", "store"];
 
 /// Crates of several rooms.
 const HOUSES: [&str; 3] = ["flip-bench", "flip-core", "flip-learn"];
@@ -112,7 +114,11 @@ const CONFINED: [(&str, &[&str]); 41] = [
     ("jsonwebtoken::", &["app"]),
     ("ureq::", &["app", "cli"]),
     ("maud::", &["app"]),
-    ("rayon::", &["calibrate", "judge", "investigate", "traces", "train", "jobs", "cli", "python"]),
+    // The simulator's are its batches of spoons.
+    (
+        "rayon::",
+        &["calibrate", "judge", "investigate", "traces", "train", "jobs", "cli", "python", "sim"],
+    ),
     ("clap::", &["cli"]),
     ("indicatif::", &["cli"]),
     ("rustix::", &["api", "cli", "emulate", "hardware", "jobs", "store", "testing"]),

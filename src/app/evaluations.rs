@@ -6,8 +6,9 @@ use super::jobs::{corrupt, specification, stored};
 use super::trainings::without_sets;
 use super::{App, Error, Result};
 use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, POLICY, rival, tuned_schedule};
-use crate::jobs::{Conditions, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR};
+use crate::jobs::{Conditions, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR, can_compute};
 use flip_core::domain::conditions::{Conditions as Day, Under};
+use flip_core::domain::device::Device;
 use flip_core::domain::job::JobKind;
 use flip_core::domain::labels::Labels;
 use flip_core::domain::powder::PUBLISHED;
@@ -63,6 +64,11 @@ pub struct EvaluationRequest {
     /// The spoon used for dosing; default FLIP's own, which holds about 40 mg.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spoon: Option<Spoon>,
+    /// What simulates: the processor, or a graphics card of this process or of a worker. A card's doses
+    /// have the statistics of the processor's and other bytes, and do not count for which policy weighs
+    /// best.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
     /// Seed; default 1.
     pub seed: Option<u64>,
     /// Extended simulator version, `sv-…`; default the base.
@@ -101,6 +107,9 @@ pub struct Evaluation {
     /// The extended simulator version and the conditions given; absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
+    /// What it simulates on; absent for the processor.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
     /// Seed.
     pub seed: u64,
     /// The errors; absent until it has succeeded.
@@ -117,6 +126,9 @@ impl App {
         if request.as_calibrated {
             conditions = conditions.as_calibrated(&self.shakes().await?);
         }
+        // Before anybody calibrates for what would be refused then.
+        can_compute(request.device, &conditions.spoon(), [].iter())?;
+        self.check_device(JobKind::Evaluation, request.device).await?;
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
         let mut controllers =
@@ -143,6 +155,8 @@ impl App {
             let sets = sets.into_iter().map(|set| set.id).collect();
             subjects.push(EvaluationPowder { powder: id, sets, patch });
         }
+        let patches = subjects.iter().map(|it| &it.patch);
+        can_compute(request.device, &conditions.spoon(), patches)?;
         let spec = EvaluationSpec {
             policy: policy.id,
             rivals: controllers.iter().filter_map(|name| rival(name)).collect(),
@@ -155,6 +169,7 @@ impl App {
             max_shakes: request.max_shakes.unwrap_or(10),
             conditions,
             under: extended.map(|it| it.0),
+            device: request.device,
             seed: request.seed.unwrap_or(1),
             simulator: SIMULATOR.to_owned(),
         };
@@ -320,6 +335,7 @@ fn evaluation(row: JobRow) -> Result<Evaluation> {
         max_shakes: spec.max_shakes,
         conditions: spec.conditions,
         under: spec.under,
+        device: spec.device,
         seed: spec.seed,
         result: row.result.as_deref().map(stored).transpose()?,
     })

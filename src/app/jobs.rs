@@ -3,6 +3,8 @@
 use super::caller_labels::written;
 use super::{App, Error, Result};
 use crate::jobs::{JobSpec, SIMULATOR, lane_of};
+use flip_core::domain::FieldError;
+use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState};
 use flip_core::domain::labels::Labels;
 use flip_store as store;
@@ -24,13 +26,15 @@ impl App {
         Ok(self.placed(row).await?.job)
     }
 
-    /// Starts a failed or cancelled job again: the same inputs, a new job that names the old one.
+    /// Starts a failed or cancelled job again: the same inputs, a new job that names the old one. On
+    /// the processor, if that is asked for: a training whose card failed goes on from its checkpoint.
     /// `false`: an equal job was requested meanwhile, and this is it.
     ///
     /// # Errors
+    /// `Invalid`, `device`: a card that was not its device, or that nobody has;
     /// `Conflict`: `job_not_over` if it has not ended that way, `simulator_changed`; those of the
     /// bench for a measurement by camera.
-    pub async fn start_again(&self, id: &str) -> Result<(Job, bool)> {
+    pub async fn start_again(&self, id: &str, device: Option<Device>) -> Result<(Job, bool)> {
         let jobs = self.jobs_or_refuse()?;
         let row = self.store().job(id).await?.ok_or_else(|| Error::not_found("job", id))?;
         if !matches!(row.job.state, JobState::Failed | JobState::Cancelled) {
@@ -49,6 +53,16 @@ impl App {
             );
             return Err(Error::conflict("simulator_changed", advice));
         }
+        let spec = match device {
+            None => spec,
+            Some(Device::Cpu) => spec.on_cpu(self.store().checkpoint_of(id).await?),
+            Some(device) if device == spec.device() => spec,
+            Some(_) => {
+                let advice = format!("job {id} was for the processor: request it anew with `cuda`");
+                return Err(FieldError::new("device", advice).into());
+            }
+        };
+        self.check_device(spec.kind(), spec.device()).await?;
         match spec {
             JobSpec::Repose(_) => self.repose_again(&spec, &row.job).await,
             _ => Ok(jobs.enqueue_again(&spec, &row.job).await?),

@@ -23,6 +23,7 @@ mod corrections;
 mod counts;
 mod csv_file;
 mod current_simulator;
+mod device;
 pub mod document;
 mod dose_list;
 mod error;

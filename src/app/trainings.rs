@@ -7,9 +7,10 @@ use crate::jobs::spoon::measured;
 use crate::jobs::train::{
     Extended, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult,
 };
-use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec};
+use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec, can_compute};
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::{Conditions, Patch, Under};
+use flip_core::domain::device::Device;
 use flip_core::domain::job::JobKind;
 use flip_core::domain::labels::Labels;
 use flip_core::domain::spoon::Spoon;
@@ -31,6 +32,8 @@ const EPISODES_MAX: u32 = 20_000;
 const DAYS: usize = 64;
 /// Maximum number of episodes that a crash may cost, apart from whole rounds.
 const EPISODES_PER_CHECKPOINT: u32 = 4;
+/// Episodes of a round on a card: a step of a few doses takes it as long as one of a hundred.
+const EPISODES_PER_ROUND_ON_CARD: u32 = 32;
 
 /// What to train. Everything has a default.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -55,6 +58,10 @@ pub struct TrainingRequest {
     /// surrogate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
+    /// What simulates: the processor, or a graphics card of this process or of a worker. The same
+    /// training on a card gives another policy: it plays 32 episodes a round instead of 4.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
     /// Seed; default 1.
     pub seed: Option<u64>,
     /// Extended simulator version, `sv-…`; default the base.
@@ -93,6 +100,9 @@ pub struct Training {
     /// The extended simulator version and the conditions given; absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
+    /// What it simulates on; absent for the processor.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
     /// Every setting.
     pub settings: serde_json::Value,
     /// Episodes, from 1, whose network is kept, in order: a film shows a dose with it. The last of a
@@ -130,6 +140,9 @@ impl App {
         if request.as_calibrated {
             settings.spoon = settings.spoon.as_executed(&self.shakes().await?);
         }
+        // Before anybody calibrates for what would be refused then.
+        can_compute(request.device, &settings.spoon, [].iter())?;
+        self.check_device(JobKind::Training, request.device).await?;
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
         let levels = match (settings.order, settings.preset) {
@@ -152,7 +165,11 @@ impl App {
                 Some(Extended { days: of(None)?, powders: own.collect::<Result<_>>()?, under });
             settings = settings.checked()?;
         }
-        let spec = TrainingSpec { levels, settings, simulator: SIMULATOR.to_owned() };
+        let days = settings.extended.iter();
+        let days = days.flat_map(|it| it.days.iter().chain(it.powders.values().flatten()));
+        can_compute(request.device, &settings.spoon, days)?;
+        let (device, simulator) = (request.device, SIMULATOR.to_owned());
+        let spec = TrainingSpec { levels, settings, device, goes_on_from: None, simulator };
         self.queue(JobSpec::Training(spec), request.labels).await
     }
 
@@ -301,6 +318,9 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
         settings = settings.going_on_from(from.clone());
     }
     settings.episodes = request.episodes.unwrap_or(settings.episodes);
+    if !request.device.is_cpu() && settings.preset == Preset::Flip {
+        settings.episodes_per_round = EPISODES_PER_ROUND_ON_CARD;
+    }
     settings.surrogate_episodes =
         request.surrogate_episodes.unwrap_or_else(|| settings.surrogate_by_default());
     // Episodes take seconds of work, a checkpoint a fraction of one.
@@ -337,6 +357,7 @@ fn training(row: JobRow) -> Result<Training> {
         preset: spec.settings.preset,
         episodes: spec.settings.episodes,
         levels: spec.levels.into_iter().map(level).collect(),
+        device: spec.device,
         under: spec.settings.extended.as_ref().map(|extended| extended.under.clone()),
         settings: serde_json::to_value(spec.settings)
             .map_err(|error| Error::Internal(error.into()))?,

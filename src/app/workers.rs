@@ -68,6 +68,11 @@ impl Hired {
         self.worker.id()
     }
 
+    /// Its graphics card, on which it computes jobs that ask for one.
+    pub fn card(&self) -> Option<&str> {
+        self.worker.card()
+    }
+
     /// Takes no more jobs, lets running ones save a checkpoint and return to the queue.
     pub async fn shutdown(self) {
         self.worker.shutdown().await;

@@ -4,6 +4,7 @@
 use super::Common;
 use super::benches::spoon;
 use super::calibrate::{Target, calibrate};
+use super::device::DeviceArguments;
 use super::failure::Failure;
 use super::lab::Lab;
 use super::labels::LabelArguments;
@@ -72,6 +73,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
     #[command(flatten)]
+    device: DeviceArguments,
+    #[command(flatten)]
     labels: LabelArguments,
     #[command(flatten)]
     extended: SimulatorArguments,
@@ -87,6 +90,9 @@ struct Document {
     conditions: Conditions,
     #[serde(skip_serializing_if = "Option::is_none")]
     under: Option<Under>,
+    /// The graphics card that simulated, if one did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    card: Option<String>,
     seed: u64,
     rows: Vec<EvaluationRow>,
     summary: Vec<EvaluationSummary>,
@@ -98,7 +104,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let id = evaluation.job.id;
     let result =
         evaluation.result.ok_or_else(|| anyhow::anyhow!("evaluation {id} has no result"))?;
-    let EvaluationResult { rows, summary } = result;
+    let EvaluationResult { rows, summary, card } = result;
     let document = Document {
         policy: evaluation.policy,
         repeats: evaluation.repeats,
@@ -106,6 +112,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         max_shakes: evaluation.max_shakes,
         conditions: evaluation.conditions,
         under: evaluation.under,
+        card,
         seed: evaluation.seed,
         rows,
         summary,
@@ -132,6 +139,7 @@ async fn evaluate(
         as_calibrated: arguments.as_calibrated,
         substep_us: arguments.substep_us,
         spoon: spoon(arguments.bench.as_deref())?,
+        device: arguments.device.device(),
         simulator: arguments.extended.simulator.clone(),
         conditions: arguments.extended.conditions()?,
         seed: Some(common.seed),
@@ -244,9 +252,15 @@ fn setting(document: &Document) -> String {
         Some(us) => format!("substep {us} us; "),
         None => String::new(),
     };
+    let card = match &document.card {
+        Some(card) => {
+            format!("computed on {card}, so that it does not count for which policy weighs best; ")
+        }
+        None => String::new(),
+    };
     format!(
         "Simulation: no powder was weighed. Policy {}; a balance that shows steps of {} mg; at most {} steps a dose; {} grains on \
-         the spoon, {extensions}; {substep}{under}seed {}.",
+         the spoon, {extensions}; {substep}{under}{card}seed {}.",
         document.policy,
         document.readability_mg,
         document.max_shakes,
@@ -302,6 +316,7 @@ mod tests {
             max_shakes: 30,
             conditions: Conditions::named(Some(1500), &extensions).unwrap(),
             under: None,
+            card: None,
             seed: 7,
             rows: vec![row],
             summary: vec![summary],
@@ -346,6 +361,14 @@ mod tests {
         let conditions = usual.conditions.with_substep(40).unwrap();
         let finer = text(&Document { conditions, ..usual });
         assert!(finer.lines().next().unwrap().contains("; substep 40 us; seed 7."), "{finer}");
+    }
+
+    #[test]
+    fn the_text_names_the_card_that_simulated() {
+        assert!(!text(&document(15.0)).contains("computed on"));
+        let on_card = Document { card: Some("H200, CUDA 13.0".into()), ..document(15.0) };
+        let said = text(&on_card);
+        assert!(said.lines().next().unwrap().contains("; computed on H200, CUDA 13.0, "), "{said}");
     }
 
     #[test]

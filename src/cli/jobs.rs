@@ -108,13 +108,14 @@ fn workers_text(workers: &[Worker]) -> String {
             it.name.clone(),
             if it.serves { "serves" } else { "" }.to_owned(),
             it.threads.to_string(),
+            it.card.clone().unwrap_or_default(),
             kinds.collect::<Vec<_>>().join(", "),
             it.heard_at.to_string(),
             if it.ended_at.is_some() { "has ended".to_owned() } else { it.jobs.join(", ") },
         ]
     };
     table(
-        &["worker", "", "threads", "takes", "last heard of", "computes"],
+        &["worker", "", "threads", "card", "takes", "last heard of", "computes"],
         &workers.iter().map(row).collect::<Vec<_>>(),
     )
 }
@@ -144,9 +145,10 @@ fn of(job: &Job) -> String {
         ([], Some(deg)) => format!("{deg:.2}°"),
         (powders, _) => powders.join(", "),
     };
+    let device = if subject.device.is_cpu() { "" } else { ", by a card" };
     match &subject.policy {
-        Some(policy) => format!("{policy} on {powders}"),
-        None => powders,
+        Some(policy) => format!("{policy} on {powders}{device}"),
+        None => format!("{powders}{device}"),
     }
 }
 

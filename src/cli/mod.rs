@@ -15,6 +15,7 @@ mod characterise;
 mod compare;
 mod config;
 mod demo;
+mod device;
 mod discover;
 mod doctor;
 mod emulate;

@@ -3,6 +3,7 @@
 use super::Common;
 use super::benches::spoon;
 use super::calibrate::{Target, calibrate};
+use super::device::DeviceArguments;
 use super::failure::Failure;
 use super::lab::Lab;
 use super::labels::LabelArguments;
@@ -58,6 +59,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE")]
     bench: Option<PathBuf>,
     #[command(flatten)]
+    device: DeviceArguments,
+    #[command(flatten)]
     labels: LabelArguments,
     #[command(flatten)]
     extended: SimulatorArguments,
@@ -97,6 +100,9 @@ struct Document {
     levels: Vec<serde_json::Value>,
     #[serde(skip_serializing_if = "Option::is_none")]
     under: Option<Under>,
+    /// The graphics card that simulated, if one did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    card: Option<String>,
     seed: u64,
     timing: Timing,
 }
@@ -121,6 +127,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         surrogate_episodes: arguments.surrogate_episodes,
         powders: arguments.powders.clone(),
         from: arguments.from.clone(),
+        device: arguments.device.device(),
         seed: Some(seed),
         simulator: arguments.extended.simulator.clone(),
         conditions: conditions.clone(),
@@ -133,7 +140,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             .result
             .ok_or_else(|| anyhow::anyhow!("training {} has no result", training.job.id))?;
         let timing = Timing { wall_s: began.elapsed().as_secs_f64() };
-        let TrainingResult { policy, episodes, final_error_mg, levels } = result;
+        let TrainingResult { policy, episodes, final_error_mg, levels, card } = result;
         Ok::<_, Failure>(Document {
             order: training.order,
             policy,
@@ -141,6 +148,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             final_error_mg,
             levels,
             under: training.under,
+            card,
             seed,
             timing,
         })
@@ -235,8 +243,9 @@ fn text(document: &Document) -> String {
         .map(|level| keys.iter().map(|key| plain(&level[*key])).collect())
         .collect();
     format!(
-        "{}order        {}\npolicy       {}\nepisodes     {}\nfinal error  {:.2} mg (mean of the last 20)\n\n{}",
+        "{}{}order        {}\npolicy       {}\nepisodes     {}\nfinal error  {:.2} mg (mean of the last 20)\n\n{}",
         document.under.as_ref().map_or_else(String::new, |under| words(under) + "\n"),
+        document.card.as_ref().map_or_else(String::new, |card| format!("computed on  {card}\n")),
         serde_json::to_value(document.order)
             .ok()
             .and_then(|order| order.as_str().map(str::to_owned))

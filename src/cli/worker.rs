@@ -39,6 +39,8 @@ struct Document<'a> {
     name: &'a str,
     kinds: &'a [JobKind],
     threads: u32,
+    /// Its graphics card, on which it computes jobs that ask for one; none without one.
+    card: Option<&'a str>,
 }
 
 /// Computes jobs until asked to stop.
@@ -59,9 +61,11 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
             name: &crew.name,
             kinds: &crew.kinds,
             threads: crew.threads,
+            card: hired.card(),
         };
         let shown = common.print(&document, || {
-            format!("worker {} on {} threads, for {storage}", crew.name, crew.threads)
+            let card = hired.card().map_or_else(String::new, |card| format!(" and {card}"));
+            format!("worker {} on {} threads{card}, for {storage}", crew.name, crew.threads)
         });
         if shown.is_err() {
             tracing::warn!("nobody reads stdout");

@@ -7,6 +7,7 @@ use super::runner::{DoseExperiment, doses_on_cores, heaps_on_cores, observables_
 use super::{CalibrationSpec, Functions, SIMULATOR, TrainingSpec, calibrate, evaluate, train};
 use flip_bench::rig::{Simulation, Task};
 use flip_bench::weigh::{Accuracy, Order as WeighingOrder};
+use flip_core::domain::device::Device;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::powder::Flowability;
@@ -261,7 +262,13 @@ fn a_training_goes_on_from_its_checkpoint_and_starts_over_if_that_is_lost() {
     let began = Arc::default();
     let functions = stopped_training(&began);
     let settings = train::Settings::of(Preset::Flip, Order::Curriculum, 1);
-    let spec = TrainingSpec { levels: Vec::new(), settings, simulator: SIMULATOR.into() };
+    let spec = TrainingSpec {
+        levels: Vec::new(),
+        settings,
+        device: Device::Cpu,
+        goes_on_from: None,
+        simulator: SIMULATOR.into(),
+    };
     let attempt = |kept: Kept| {
         let host = MemoryHost::resuming(kept);
         let ended = train::perform(&host, &functions, &spec);

@@ -2,7 +2,7 @@
 
 use super::lanes::{KINDS, Lanes};
 use super::stop::Stop;
-use super::{Functions, Shared, worker};
+use super::{Functions, Shared, card, worker};
 use flip_core::domain::job::JobKind;
 use flip_store::workers::{Worker, machine_name};
 use flip_store::{self as store, Store, new_id, now};
@@ -27,6 +27,8 @@ pub struct Crew {
     /// For how long one thread computes a portion of a job that others help with, roughly. The longer,
     /// the less of it is spent on rows, and the later the last one ends.
     pub portion: Duration,
+    /// Its graphics card, as others are told of it; it is looked for when the process starts.
+    pub card: Option<String>,
 }
 
 impl Default for Crew {
@@ -39,6 +41,7 @@ impl Default for Crew {
             threads: cores as u32,
             serves: false,
             portion: Duration::from_secs(60),
+            card: None,
         }
     }
 }
@@ -63,7 +66,8 @@ impl JobWorker {
     pub async fn beside(store: Store, functions: Functions, crew: Crew) -> store::Result<Self> {
         // A measurement on the bench is of the process that has the bench.
         let kinds = crew.kinds.into_iter().filter(|kind| *kind != JobKind::Repose).collect();
-        let crew = Crew { kinds, serves: false, ..crew };
+        let card = card::found(&functions).await.ok();
+        let crew = Crew { kinds, serves: false, card, ..crew };
         let worker = Self::new(store, functions, Arc::default(), crew, false);
         worker.start().await?;
         Ok(worker)
@@ -86,6 +90,7 @@ impl JobWorker {
             kinds: crew.kinds,
             threads: crew.threads,
             serves: crew.serves,
+            card: crew.card,
             started_at: now(),
             heard_at: now(),
             ended_at: None,
@@ -123,6 +128,11 @@ impl JobWorker {
     /// Its id: the owner of the jobs that it computes.
     pub fn id(&self) -> &str {
         &self.shared.worker.id
+    }
+
+    /// Its graphics card, if it has one.
+    pub fn card(&self) -> Option<&str> {
+        self.shared.worker.card.as_deref()
     }
 
     /// Takes no more jobs, and asks those that run to save a checkpoint.

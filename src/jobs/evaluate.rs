@@ -2,10 +2,11 @@
 //! controllers for comparison.
 
 use super::Functions;
+use super::card::{self, SideBySide};
 use super::host::{Finished, JobError, JobHost, Piece, Result, go_on};
 use super::runner::{DoseExperiment, DoseRunner, Run};
 use super::spec::EvaluationSpec;
-use flip_bench::rig::{Simulation, Task, simulate};
+use flip_bench::rig::{Poured, Simulation, Task, simulate};
 use flip_bench::weigh::{Accuracy, Event, Order};
 use flip_core::domain::job::Progress;
 use flip_core::domain::weighing::Outcome;
@@ -36,7 +37,11 @@ pub const POLICY: &str = "policy";
 /// Why there is no stable reading.
 pub fn simulated(task: &Task, simulation: &Simulation) -> std::result::Result<Dose, String> {
     let mut go_on = |_: &Event<'_>| ControlFlow::Continue(());
-    let poured = simulate(task, simulation, &mut go_on, &AtomicBool::new(false));
+    dose_of(simulate(task, simulation, &mut go_on, &AtomicBool::new(false)))
+}
+
+/// What a simulated dose came to, or why there is no stable reading.
+pub(super) fn dose_of(poured: Poured) -> std::result::Result<Dose, String> {
     match (poured.dispensed_mg, poured.reading_mg) {
         (Some(dispensed_mg), Some(reading_mg)) if poured.outcome != Outcome::NotStable => {
             Ok(Dose { dispensed_mg, reading_mg, shakes: poured.shakes, seconds: poured.seconds })
@@ -52,6 +57,9 @@ pub struct EvaluationResult {
     pub rows: Vec<EvaluationRow>,
     /// One row for each controller.
     pub summary: Vec<EvaluationSummary>,
+    /// The graphics card that it was computed on; absent for the processor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub card: Option<String>,
 }
 
 pub(super) fn perform(
@@ -59,6 +67,11 @@ pub(super) fn perform(
     functions: &Functions,
     spec: &EvaluationSpec,
 ) -> Result<()> {
+    let card = card::engine_of(&*functions.card, spec.device)?;
+    let weigh = match &card {
+        Some(card) => Arc::new(SideBySide(card.clone())),
+        None => functions.weigh.clone(),
+    };
     let policy = load_policy(host, &spec.policy)?;
     let plan = plan(host, spec, &policy)?;
     let rules = Rules { steps_max: spec.max_shakes, ..policy.manifest.rules };
@@ -70,11 +83,12 @@ pub(super) fn perform(
             let task = tasks.entry(key).or_insert_with(|| Arc::new(task(spec, rules, of)));
             Ok(DoseExperiment { task: task.clone(), simulation: simulation(spec, of)? })
         };
-        doses(host, weighings, experiment, &functions.weigh)
+        doses(host, weighings, experiment, &weigh)
     })?;
     let result = EvaluationResult {
         rows: found.rows.iter().map(row).collect(),
         summary: found.summary.iter().map(summary).collect(),
+        card: card.map(|card| card.name()),
     };
     let evidence: Vec<Option<&str>> =
         result.rows.iter().map(|row| about(spec, &policy, &rules, &row.controller)).collect();
@@ -161,7 +175,8 @@ fn key(of: &Weighing<'_>) -> String {
 
 /// The policy whose ranking a controller's errors count towards, if any: only doses like those of a
 /// weighing, with its spoon, its balance and the rules that the policy was made for, are evidence
-/// of which policy weighs best: under the same version of the simulator.
+/// of which policy weighs best: under the same version of the simulator, and on the processor. A card
+/// is equivalent within a margin that is wider than what policies differ by.
 fn about<'a>(
     spec: &'a EvaluationSpec,
     policy: &Policy,
@@ -174,7 +189,7 @@ fn about<'a>(
     let on_it = |rules: &Rules| Rules { pitch: rules.pitch.within(pitch), ..*rules };
     let usual = |of: &Policy| {
         let same_rules = on_it(rules) == on_it(&of.manifest.rules);
-        spec.conditions.are_usual() && usual_balance && same_rules
+        spec.device.is_cpu() && spec.conditions.are_usual() && usual_balance && same_rules
     };
     let is_rival = |kind: &Kind| kind.name() == controller && spec.rivals.contains(kind);
     match controller {

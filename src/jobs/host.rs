@@ -32,6 +32,9 @@ pub(super) enum JobError {
     /// It would end the same way every time.
     #[error("{0}")]
     Fail(String),
+    /// What it computed on failed. Its checkpoint is kept: it can go on elsewhere.
+    #[error("{0}")]
+    Device(String),
     /// It was asked to stop, or has lost the right to go on; its results so far are saved.
     #[error("stopped on request")]
     Stopped,

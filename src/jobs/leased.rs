@@ -332,7 +332,7 @@ mod tests {
     /// One call of every method that writes a row.
     fn write_all(job: &LeasedJob) -> [Result<()>; 4] {
         let dose = Dose { dispensed_mg: 15.0, reading_mg: 15.0, shakes: 3, seconds: 9.0 };
-        let result = EvaluationResult { rows: Vec::new(), summary: Vec::new() };
+        let result = EvaluationResult { rows: Vec::new(), summary: Vec::new(), card: None };
         [
             job.save(Piece::Dose { key: "a dose", dose: &dose }),
             job.save_checkpoint(b"a checkpoint"),

@@ -13,6 +13,7 @@
 //!              load inputs, call the pure function, save what it finds
 //!              host.rs: what such a body may ask for; leased.rs answers over the store, every write carries the fence
 //!              runner.rs: who carries out the experiments that it hands over
+//!              card.rs: doses on a graphics card, for jobs that ask for one
 //!              spread.rs: other workers, too, where there are some; help.rs: their side
 //! ```
 //!
@@ -20,6 +21,7 @@
 
 pub mod bench;
 pub mod calibrate;
+mod card;
 mod conditions;
 mod crew;
 pub mod episode_film;
@@ -46,6 +48,7 @@ mod stop;
 pub mod train;
 mod worker;
 
+pub use card::{Cards, FirstCard, SideBySide, can_compute};
 pub use conditions::Conditions;
 pub use crew::{Crew, JobWorker};
 pub use lanes::{KINDS, lane_of};
@@ -92,6 +95,8 @@ pub struct Functions {
     pub weigh: DoseRunner,
     /// What the bench's lane moves.
     pub rig: Arc<dyn Rig>,
+    /// The graphics card, for jobs that ask for one.
+    pub card: Arc<dyn Cards>,
 }
 
 impl Default for Functions {
@@ -103,6 +108,7 @@ impl Default for Functions {
             train: train::simulated(),
             weigh: doses_on_cores(evaluate::simulated),
             rig: Arc::new(Simulated),
+            card: Arc::new(FirstCard::default()),
         }
     }
 }
@@ -124,6 +130,8 @@ pub enum Workers {
 pub struct Jobs {
     worker: JobWorker,
     bench: Bench,
+    /// Whether this process computes jobs itself.
+    computes: bool,
 }
 
 /// A running job: its lease, i.e. the right to write to its row, and the flag that stops it.
@@ -170,9 +178,13 @@ impl Jobs {
         if gives_way {
             priority::make_pool_give_way();
         }
-        let crew = Crew { serves: true, ..Crew::default() };
-        let jobs = Self { worker: JobWorker::new(store, functions, held, crew, gives_way), bench };
-        if workers != Workers::None {
+        let computes = workers != Workers::None;
+        // A command that computes and exits announces nothing: it looks when a job asks for a card.
+        let card = if gives_way { card::found(&functions).await.ok() } else { None };
+        let crew = Crew { serves: true, card, ..Crew::default() };
+        let worker = JobWorker::new(store, functions, held, crew, gives_way);
+        let jobs = Self { worker, bench, computes };
+        if computes {
             // No other process has this bench, so leases of the last one are free.
             jobs.shared().store.end_leases().await?;
             jobs.bench.start().await?;
@@ -188,6 +200,15 @@ impl Jobs {
     /// The id of this process among the workers.
     pub fn worker(&self) -> &str {
         &self.shared().worker.id
+    }
+
+    /// The card on which this process computes jobs that ask for one, or why it does not, in words that
+    /// end with what to do.
+    pub async fn card(&self) -> Result<String, String> {
+        match self.computes {
+            true => card::found(&self.shared().functions).await,
+            false => Err("this process computes no jobs; use the CPU".to_owned()),
+        }
     }
 
     /// Queues a job. `false`: the same job was requested before, and this is it, with these labels
@@ -238,6 +259,11 @@ impl Jobs {
         let (job, created) = tx
             .insert_job(&new_id(), spec.kind(), (&text, &sha256), &spec.subject(), of, now())
             .await?;
+        if let (true, JobSpec::Training(TrainingSpec { goes_on_from: Some(sha256), .. })) =
+            (created, spec)
+        {
+            tx.begin_from(&job.id, sha256).await?;
+        }
         if created {
             let kind = serde_json::json!(spec.kind());
             let action = format!("start {}", kind.as_str().unwrap_or("job"));

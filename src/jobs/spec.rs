@@ -14,6 +14,8 @@
 //! | 3 | films | |
 //! | 4 | films of heaps | |
 //! | 5 | films of a training's episodes | |
+//! | 6 | `device` of an evaluation and of a training | the processor |
+//! | 6 | `goes_on_from` of a training | it begins at its beginning |
 
 mod films;
 
@@ -22,6 +24,7 @@ use flip_bench::hardware::stand::Procedure;
 use flip_bench::pile::{Dimensions, Limits};
 use flip_core::domain::bench::BenchKind;
 use flip_core::domain::conditions::{Patch, Under};
+use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, Subject};
 use flip_core::domain::observable::Observation;
 use flip_core::domain::parameters::ParameterSet;
@@ -46,7 +49,7 @@ pub use films::{EpisodeFilmSpec, FilmSpec, HeapFilmSpec};
 pub const SIMULATOR: &str = sim::VERSION;
 
 /// Latest version of the specifications written here; a text without a number is of version 1.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 /// Why a stored specification cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -136,6 +139,13 @@ pub struct TrainingSpec {
     pub levels: Vec<train::Level>,
     /// Every setting.
     pub settings: train::Settings,
+    /// What simulates; omitted for the processor, as in older specifications.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
+    /// The checkpoint, by its SHA-256, of the same training on a card that failed: it goes on from
+    /// there. None for all others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub goes_on_from: Option<String>,
     /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
 }
@@ -171,6 +181,9 @@ pub struct EvaluationSpec {
     pub under: Option<Under>,
     /// Seed.
     pub seed: u64,
+    /// What simulates; omitted for the processor, as in older specifications.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
     /// Version of the simulator: [`SIMULATOR`].
     pub simulator: String,
 }
@@ -295,16 +308,18 @@ impl JobSpec {
             Self::Calibration(spec) => Subject {
                 powders: spec.powder.iter().cloned().collect(),
                 repose_deg: Some(spec.target.repose_deg),
-                policy: None,
+                ..Subject::default()
             },
             Self::Training(spec) => Subject {
                 powders: each_once(spec.levels.iter().map(|it| &it.powder).collect()),
+                device: spec.device,
                 ..Subject::default()
             },
             Self::Evaluation(spec) => Subject {
                 powders: each_once(spec.powders.iter().map(|it| &it.powder).collect()),
                 policy: Some(spec.policy.clone()),
-                repose_deg: None,
+                device: spec.device,
+                ..Subject::default()
             },
             Self::Investigation(spec) => {
                 let powders = spec.campaign.as_ref().map(|it| it.powders.clone());
@@ -314,6 +329,30 @@ impl JobSpec {
                 Subject { powders: vec![spec.powder.clone()], ..Subject::default() }
             }
             Self::Film(_) | Self::HeapFilm(_) | Self::EpisodeFilm(_) => Subject::default(),
+        }
+    }
+
+    /// What it computes on.
+    pub fn device(&self) -> Device {
+        match self {
+            Self::Training(spec) => spec.device,
+            Self::Evaluation(spec) => spec.device,
+            _ => Device::Cpu,
+        }
+    }
+
+    /// The same on the processor; a training goes on from this checkpoint, if there is one.
+    #[must_use]
+    pub fn on_cpu(self, checkpoint: Option<String>) -> Self {
+        match self {
+            Self::Training(spec) if !spec.device.is_cpu() => {
+                let (device, goes_on_from) = (Device::Cpu, checkpoint);
+                Self::Training(TrainingSpec { device, goes_on_from, ..spec })
+            }
+            Self::Evaluation(spec) => {
+                Self::Evaluation(EvaluationSpec { device: Device::Cpu, ..spec })
+            }
+            other => other,
         }
     }
 
@@ -349,6 +388,10 @@ impl JobSpec {
             Self::Film(_) => return 3,
             Self::HeapFilm(_) => return 4,
             Self::EpisodeFilm(_) => return 5,
+            Self::Evaluation(spec) if !spec.device.is_cpu() => return 6,
+            Self::Training(spec) if !spec.device.is_cpu() || spec.goes_on_from.is_some() => {
+                return 6;
+            }
             Self::Evaluation(spec) => spec.conditions.substep_us.is_some(),
             Self::Calibration(spec) => !spec.settings.fixed.is_empty() || !spec.patch.is_none(),
             Self::Investigation(spec) => spec.shakes.is_some(),
@@ -419,10 +462,31 @@ mod tests {
     }
 
     #[test]
+    fn a_card_is_an_input_of_version_6_and_the_processor_is_not_mentioned() {
+        let mut met = std::collections::HashSet::new();
+        for text in include_str!("spec/version_1.jsonl").lines() {
+            let mut spec = JobSpec::read(text).unwrap();
+            match &mut spec {
+                JobSpec::Evaluation(spec) => spec.device = Device::Cuda,
+                JobSpec::Training(spec) => spec.device = Device::Cuda,
+                _ => continue,
+            }
+            met.insert(spec.kind());
+            let (on_card, sha256) = spec.canonical();
+            assert!(on_card.starts_with("{\"version\":6,"), "{on_card}");
+            assert!(on_card.contains("\"device\":\"cuda\""), "{on_card}");
+            assert_eq!(JobSpec::read(&on_card).unwrap(), spec);
+            assert_ne!(sha256, Sha256::digest(text).to_vec(), "another job");
+            assert_eq!(spec.subject().device, Device::Cuda);
+        }
+        assert_eq!(met.len(), 2, "of both kinds");
+    }
+
+    #[test]
     fn a_newer_version_is_refused_by_its_number_and_damage_by_its_place() {
         let text = include_str!("spec/version_1.jsonl").lines().next().unwrap();
-        let newer = text.replacen('{', "{\"version\":6,", 1);
-        assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(6))));
+        let newer = text.replacen('{', "{\"version\":7,", 1);
+        assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(7))));
         let damaged = text.replace("\"target\"", "\"targeted\"");
         let error = JobSpec::read(&damaged).unwrap_err();
         assert!(error.to_string().contains("missing field `target`"), "{error}");

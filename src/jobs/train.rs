@@ -5,12 +5,14 @@
 //! stored are left unchanged.
 
 use super::Functions;
+use super::card;
 use super::evaluate::load_policy;
 use super::host::{Checkpoint, Finished, JobError, JobHost, Piece, Result};
 use super::spec::TrainingSpec;
 use flip_core::domain::job::Progress;
 use flip_learn::train::{EpisodeRecord, Event, Flow, Start, TrainError, Trained};
 use flip_policy::{self as policy, Actor, Controller};
+use flip_sim::batch::Engine;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::ControlFlow;
@@ -27,17 +29,18 @@ pub const SETS_PER_LEVEL: usize = 7;
 const RECENT: usize = 20;
 
 /// A training as called by jobs: [`flip_learn::train::train`] in the product, a formula in tests.
-pub type Train = Arc<
-    dyn Fn(
-            &[Level],
-            &Settings,
-            Start<'_>,
-            &Flow<'_>,
-            &mut Listener<'_>,
-        ) -> std::result::Result<Trained, TrainError>
-        + Send
-        + Sync,
->;
+pub type Train = Arc<Learn<'static>>;
+/// The function in a [`Train`].
+pub type Learn<'a> = dyn Fn(
+        &[Level],
+        &Settings,
+        Start<'_>,
+        &Flow<'_>,
+        &mut Listener<'_>,
+    ) -> std::result::Result<Trained, TrainError>
+    + Send
+    + Sync
+    + 'a;
 /// Receives the events of a training; returns `Break` when one could not be recorded.
 pub type Listener<'a> = dyn FnMut(Event) -> ControlFlow<()> + 'a;
 
@@ -55,6 +58,32 @@ pub fn simulated() -> Train {
     Arc::new(|_, _, _, _, _| Err(TrainError::Unavailable))
 }
 
+/// The simulator's training on an engine.
+#[cfg(feature = "learn")]
+fn beside(
+    engine: &dyn Engine,
+    levels: &[Level],
+    settings: &Settings,
+    start: Start<'_>,
+    flow: &Flow<'_>,
+    listener: &mut Listener<'_>,
+) -> std::result::Result<Trained, TrainError> {
+    flip_learn::train::train_beside(engine, levels, settings, start, flow, listener)
+}
+
+/// That of a build without libtorch.
+#[cfg(not(feature = "learn"))]
+fn beside(
+    _: &dyn Engine,
+    _: &[Level],
+    _: &Settings,
+    _: Start<'_>,
+    _: &Flow<'_>,
+    _: &mut Listener<'_>,
+) -> std::result::Result<Trained, TrainError> {
+    Err(TrainError::Unavailable)
+}
+
 /// Result of a training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrainingResult {
@@ -66,6 +95,9 @@ pub struct TrainingResult {
     pub final_error_mg: f64,
     /// The levels it trained on, in the order met, with the episodes on each.
     pub levels: Vec<serde_json::Value>,
+    /// The graphics card that simulated; absent for the processor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub card: Option<String>,
 }
 
 pub(super) fn perform(
@@ -82,17 +114,34 @@ pub(super) fn perform(
         (None, Some(actor)) => Start::Policy(actor),
         (None, None) => Start::Nothing,
     };
-    let trained =
-        (functions.train)(&spec.levels, &spec.settings, start, &|| host.flow(), &mut |event| {
-            recorder.hear(event)
-        });
+    let card = card::engine_of(&*functions.card, spec.device)?;
+    let train: &Learn<'_> = match &card {
+        None => &*functions.train,
+        Some(card) => &|levels, settings, start, flow, listener| {
+            beside(&**card, levels, settings, start, flow, listener)
+        },
+    };
+    let trained = train(&spec.levels, &spec.settings, start, &|| host.flow(), &mut |event| {
+        recorder.hear(event)
+    });
     recorder.flush();
     match (trained, recorder.unsaved) {
         (_, Some(error)) => Err(error),
-        (Ok(trained), None) => finish(host, &trained),
+        (Ok(trained), None) => {
+            let begun = spec.goes_on_from.as_ref().map(|_| "a card, until it failed".to_owned());
+            finish(host, &trained, card.map(|card| card.name()).or(begun))
+        }
         (Err(TrainError::Stopped { checkpoint }), None) => {
             host.save_checkpoint(&checkpoint)?;
             Err(JobError::Stopped)
+        }
+        (Err(TrainError::Device { cause, checkpoint }), None) => {
+            if let Some(checkpoint) = checkpoint {
+                host.save_checkpoint(&checkpoint)?;
+            }
+            Err(JobError::Device(format!(
+                "{cause}. Its checkpoint is kept: start it again with `device: cpu`, and it goes on from there"
+            )))
         }
         (Err(error), None) => Err(JobError::Fail(error.to_string())),
     }
@@ -200,13 +249,14 @@ impl Recorder<'_> {
     }
 }
 
-fn finish(host: &dyn JobHost, trained: &Trained) -> Result<()> {
+fn finish(host: &dyn JobHost, trained: &Trained, card: Option<String>) -> Result<()> {
     let levels: serde_json::Result<_> = trained.levels.iter().map(serde_json::to_value).collect();
     let result = TrainingResult {
         policy: policy::id(&trained.artifact),
         episodes: trained.episodes,
         final_error_mg: trained.final_error_mg,
         levels: levels.map_err(|error| JobError::Fail(error.to_string()))?,
+        card,
     };
     host.finish(&Finished::Training { result: &result, trained })
 }

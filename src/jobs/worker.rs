@@ -7,7 +7,7 @@ use super::leased::LeasedJob;
 use super::spec::JobSpec;
 use super::stop::{Stop, StopFlag};
 use super::{
-    Functions, Running, Shared, calibrate, episode_film, evaluate, film, help, investigate,
+    Functions, Running, Shared, calibrate, card, episode_film, evaluate, film, help, investigate,
     priority, repose, spread, train,
 };
 use flip_core::domain::job::JobState;
@@ -138,14 +138,23 @@ async fn give_portions_back(shared: &Shared) -> store::Result<()> {
 /// none.
 async fn start_waiting(shared: &Arc<Shared>) -> store::Result<()> {
     while !shared.closing.is_cancelled() {
-        let mut waiting = shared.store.claimable(now()).await?.into_iter();
-        let next = waiting.find_map(|(kind, job)| Some((job, shared.lanes.take(kind)?)));
+        let mut waiting = shared.store.claimable(now()).await?;
+        if waiting.iter().any(|it| !it.device.is_cpu()) && !has_card(shared).await {
+            // They wait for a process that has one, and hold up nobody here.
+            waiting.retain(|it| it.device.is_cpu());
+        }
+        let next = waiting.into_iter().find_map(|it| Some((it.job, shared.lanes.take(it.kind)?)));
         let Some((job, place)) = next else { break };
         if let Some(claimed) = claim(&shared.store, &shared.worker.id, &job).await? {
             compute(shared.clone(), claimed, place);
         }
     }
     Ok(())
+}
+
+/// Whether jobs for a card may be claimed here.
+async fn has_card(shared: &Shared) -> bool {
+    card::found(&shared.functions).await.is_ok()
 }
 
 /// Claims a job. `None`: there is nothing to do, or another lease is still valid.
@@ -268,6 +277,7 @@ async fn settle(
         }
         (JobError::Stopped, _) => tx.release(lease).await,
         (JobError::Fail(cause), _) => tx.end(lease, JobState::Failed, Some(cause), now()).await,
+        (JobError::Device(cause), _) => tx.fail_keeping_checkpoint(lease, cause, now()).await,
         (JobError::Retry(cause), _) => tx.retry(lease, cause, now()).await,
     };
     match written {

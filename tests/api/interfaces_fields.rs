@@ -11,7 +11,7 @@
     ("FilmHead", &["bowl_mm"], &["bowl_depth_mm", "bowl_length_mm", "bowl_width_mm"], "three lengths"),
     ("FlowTime", &["kind"], &[], "the tag of a union; gRPC has a oneof"),
     ("Investigation", &["report"], &["report_json"], "the report is the file report.json"),
-    ("Job", &["progress", "subject"], &["fraction", "message", "policy", "powders", "repose_deg"], "flat in gRPC"),
+    ("Job", &["progress", "subject"], &["device", "fraction", "message", "policy", "powders", "repose_deg"], "flat in gRPC"),
     ("Marginal", &["interval"], &["lower", "upper"], "a pair"),
     ("Pile", &["measured"], &["cone", "tip"], "flat in gRPC"),
     ("PileHeight", &["kind"], &[], "the tag of a union; gRPC has a oneof"),

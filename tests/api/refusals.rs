@@ -217,11 +217,20 @@ async fn bad_powders_and_jobs_are_refused_by_field() {
         ("/v1/evaluations", json!({ "repeats": 0 }), "repeats"),
         ("/v1/evaluations", json!({ "particles": 499 }), "particles"),
         ("/v1/evaluations", json!({ "substep_us": 9 }), "substep_us"),
+        ("/v1/evaluations", json!({ "device": "abacus" }), "device"),
+        ("/v1/evaluations", json!({ "device": "cuda" }), "device"),
+        ("/v1/trainings", json!({ "device": "cuda" }), "device"),
         ("/v1/evaluations", json!({ "extensions": { "wind": 1.0 } }), "extensions.wind"),
     ] {
         let request = service.request("POST", path).bearer_auth(&token).json(&body);
         let problem = problem(request.send().await.unwrap(), 400).await;
         assert_eq!(fields(&problem), [field], "{path} {body}: {problem}");
+    }
+    let on_card = service.request("POST", "/v1/evaluations").bearer_auth(&token);
+    let refused = on_card.json(&json!({ "device": "cuda" })).send().await.unwrap();
+    let refused = problem(refused, 400).await.to_string();
+    for said in ["no driver in this test", "leaving this field out"] {
+        assert!(refused.contains(said), "{refused}");
     }
     let jobs: Value = service.get("/v1/jobs").await.json().await.unwrap();
     assert_eq!(jobs["items"], json!([]));

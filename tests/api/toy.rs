@@ -1,7 +1,7 @@
 //! A bench and a heap that answer at once, by formula.
 
 use flip::app::Functions;
-use flip::jobs::heaps_on_cores;
+use flip::jobs::{Cards, heaps_on_cores};
 use flip_bench::hardware::DeviceError;
 use flip_bench::rig::{OnEvent, Poured, Pouring, Rig};
 use flip_bench::weigh::{Event, Phase};
@@ -9,12 +9,25 @@ use flip_core::domain::bench::{Action, BenchKind, Reading, Tick};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::weighing::Outcome;
 use flip_policy::{self as policy, Controller, Kind, Manifest, Policy, Rules, ScheduledStep};
+use flip_sim::batch::Engine;
 use flip_sim::repose::{Refusal, Repose, Settings};
 use sha2::{Digest, Sha256};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
+
+/// A machine without a card.
+struct NoCard;
+
+impl Cards for NoCard {
+    fn found(&self) -> Result<String, String> {
+        Err("there is no driver in this test; use the CPU".to_owned())
+    }
+    fn open(&self) -> Result<Arc<dyn Engine>, String> {
+        self.found().map(|_| unreachable!("none is found"))
+    }
+}
 
 /// Counts pours, and can be held.
 #[derive(Clone, Default)]
@@ -38,6 +51,7 @@ impl Bench {
         Functions {
             simulate: heaps_on_cores(heap),
             rig: Arc::new(self.clone()),
+            card: Arc::new(NoCard),
             ..Functions::default()
         }
     }

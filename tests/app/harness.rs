@@ -5,7 +5,7 @@ use flip::app::{
     Tolerance, Topic, TrainingRequest, WeighingRequest,
 };
 use flip::jobs::train::Train;
-use flip::jobs::{doses_on_cores, heaps_on_cores, observables_on_cores, spoons_on_cores};
+use flip::jobs::{Cards, doses_on_cores, heaps_on_cores, observables_on_cores, spoons_on_cores};
 use flip_bench::hardware::DeviceError;
 use flip_bench::rig::{OnEvent, Poured, Pouring, Rig, Simulation, Task};
 use flip_bench::weigh::{Event, Phase};
@@ -17,6 +17,8 @@ use flip_core::domain::weighing::Outcome;
 use flip_learn::train::evaluate::Dose;
 use flip_learn::train::formula::Formula;
 use flip_learn::train::train_on;
+use flip_sim::batch::{Batch, Cores, Engine, Failed, Motion, Stand};
+use flip_sim::dispense::Dispenser;
 use flip_sim::repose::{self, Refusal, Repose};
 use futures::StreamExt;
 use std::path::Path;
@@ -152,6 +154,71 @@ pub fn weigh(task: &Task, _: &Simulation) -> Result<Dose, String> {
     Ok(Dose { dispensed_mg: mg, reading_mg: mg, shakes: 2, seconds: 2.0 })
 }
 
+/// A machine without a card.
+pub struct NoCard;
+
+impl Cards for NoCard {
+    fn found(&self) -> Result<String, String> {
+        Err("there is no driver in this test; use the CPU".to_owned())
+    }
+    fn open(&self) -> Result<Arc<dyn Engine>, String> {
+        self.found().map(|_| unreachable!("none is found"))
+    }
+}
+
+/// A card whose batches are those of the cores; one that breaks does so at a step of each batch.
+#[derive(Default, Clone, Copy)]
+pub struct ToyCard {
+    pub breaks_at: Option<usize>,
+}
+
+impl Cards for ToyCard {
+    fn found(&self) -> Result<String, String> {
+        Ok(self.name())
+    }
+    fn open(&self) -> Result<Arc<dyn Engine>, String> {
+        Ok(Arc::new(*self))
+    }
+}
+
+impl Engine for ToyCard {
+    fn name(&self) -> String {
+        "a toy card".to_owned()
+    }
+    fn places(&self) -> usize {
+        Cores.places()
+    }
+    fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
+        let batch = Cores.batch(places)?;
+        Ok(match self.breaks_at {
+            Some(steps) => Box::new(Breaking { batch, steps }),
+            None => batch,
+        })
+    }
+}
+
+struct Breaking {
+    batch: Box<dyn Batch>,
+    /// Steps until it breaks.
+    steps: usize,
+}
+
+impl Batch for Breaking {
+    fn places(&self) -> usize {
+        self.batch.places()
+    }
+    fn fill(&mut self, beds: &[(usize, &Dispenser)]) -> Result<(), Failed> {
+        self.batch.fill(beds)
+    }
+    fn step(&mut self, motions: &[(usize, Motion)]) -> Result<Vec<Stand>, Failed> {
+        self.steps = self.steps.saturating_sub(1);
+        match self.steps {
+            0 => Err(Failed("the toy card was taken away".to_owned())),
+            _ => self.batch.step(motions),
+        }
+    }
+}
+
 /// The formulas.
 pub fn functions() -> Functions {
     Functions {
@@ -161,6 +228,7 @@ pub fn functions() -> Functions {
         train: train(),
         weigh: doses_on_cores(weigh),
         rig: ToyRig::of(BenchKind::Simulated, pour),
+        card: Arc::new(NoCard),
     }
 }
 

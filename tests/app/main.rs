@@ -5,6 +5,7 @@ mod asked;
 mod bench;
 mod benches;
 mod calibration;
+mod cards;
 mod endings;
 mod harness;
 mod investigation;

@@ -62,11 +62,11 @@ async fn a_cancelled_job_starts_again_with_the_same_inputs_behind_those_that_wai
     let (_folder, app) = open(gated(&gate)).await;
     let (first, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
     let (second, _) = app.start_calibration(calibration_of("salt", 1)).await.unwrap();
-    let refused = app.start_again(&second.id).await.unwrap_err();
+    let refused = app.start_again(&second.id, None).await.unwrap_err();
     assert!(matches!(refused, Error::Conflict { code: "job_not_over", .. }), "{refused}");
     app.cancel_job(&second.id).await.unwrap();
     let (third, _) = app.start_calibration(calibration_of("sugar", 1)).await.unwrap();
-    let (again, created) = app.start_again(&second.id).await.unwrap();
+    let (again, created) = app.start_again(&second.id, None).await.unwrap();
     assert!(created && again.id != second.id);
     let again = app.job(&again.id).await.unwrap();
     assert_eq!(
@@ -75,16 +75,16 @@ async fn a_cancelled_job_starts_again_with_the_same_inputs_behind_those_that_wai
     );
     assert_eq!((app.job(&third.id).await.unwrap().place, again.place), (Some(1), Some(2)));
     // Twice is once.
-    let (same, created) = app.start_again(&second.id).await.unwrap();
+    let (same, created) = app.start_again(&second.id, None).await.unwrap();
     assert_eq!((same.id.as_str(), created), (again.id.as_str(), false));
     gate.store(true, Ordering::SeqCst);
     assert_eq!(ended(&app, &again.id).await.state, JobState::Succeeded);
     let (old, new) =
         (app.calibration(&second.id).await.unwrap(), app.calibration(&again.id).await.unwrap());
     assert_eq!((old.target, old.settings), (new.target, new.settings));
-    let refused = app.start_again(&first.id).await.unwrap_err();
+    let refused = app.start_again(&first.id, None).await.unwrap_err();
     assert!(refused.to_string().contains("succeeded"), "{refused}");
-    assert!(matches!(app.start_again("none").await, Err(Error::NotFound { .. })));
+    assert!(matches!(app.start_again("none", None).await, Err(Error::NotFound { .. })));
     app.shutdown().await.unwrap();
 }
 

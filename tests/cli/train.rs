@@ -1,6 +1,6 @@
 //! `flip train`.
 
-use crate::harness::{document, expect_status, flip};
+use crate::harness::{Service, document, expect_status, flip, stderr};
 
 #[test]
 fn several_seeds_are_several_trainings() {
@@ -28,4 +28,31 @@ fn several_seeds_are_several_trainings() {
     assert_eq!((&both[0]["seed"], &both[1]["seed"]), (&3.into(), &4.into()));
     assert_ne!(both[0]["policy"], both[1]["policy"]);
     assert_eq!(train(&["--seed", "4"])["policy"], both[1]["policy"]);
+}
+
+#[test]
+fn a_card_that_is_not_there_is_refused_before_anything_is_calibrated_here_and_by_a_server() {
+    if let Ok(card) = flip_cuda::find(0) {
+        println!("skipped: there is {card}");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |data: &std::path::Path, arguments: &[&str]| {
+        let output = flip(data, arguments);
+        expect_status(&output, 2);
+        let said = stderr(&output);
+        assert!(said.contains("device") && said.contains("use the CPU"), "{said}");
+        assert!(!said.contains("calibrat"), "{said}");
+    };
+    for command in ["train", "evaluate"] {
+        refused(folder.path(), &[command, "--device", "cuda"]);
+    }
+    expect_status(&flip(folder.path(), &["evaluate", "--device", "abacus"]), 2);
+    let service = Service::start(folder.path());
+    for command in ["train", "evaluate"] {
+        let asked = service.ask(&[command, "--device", "cuda"]);
+        expect_status(&asked, 2);
+        let said = stderr(&asked);
+        assert!(said.contains("device") && said.contains("use the CPU"), "{said}");
+    }
 }

@@ -4,6 +4,9 @@ use crate::layout;
 use flip_sim::dispense::Dispenser;
 use flip_sim::dispense::outside::Spoon;
 
+/// Most grains of a spoon on a card.
+pub const GRAINS_MAX: usize = layout::GRAINS;
+
 /// A filled spoon at rest, ready for a card.
 #[derive(Debug, Clone)]
 pub struct Bed {

@@ -1,5 +1,6 @@
 //! A graphics card, opened with its kernel.
 
+use crate::found::{Found, find, lacking};
 use crate::layout;
 use crate::orders::{Orders, Raw};
 use crate::{Refused, Result};
@@ -17,10 +18,6 @@ const KERNELS: &str = include_str!("../ptx/spoons.ptx");
 const EXACT: &str = include_str!("../ptx/spoons_exact.ptx");
 /// Threads of a block, and the most for which the kernels are compiled.
 const THREADS: u32 = 896;
-/// Oldest cards whose instructions the kernels use.
-const CAPABILITY: (i32, i32) = (8, 0);
-/// Bytes of a block's static shared memory, rounded up.
-const STATIC: usize = 1024;
 
 /// Why a card did not do what was asked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -31,6 +28,16 @@ pub enum CardError {
     /// The driver is there, but too old for this program or not working.
     #[error("the NVIDIA driver cannot be used ({0}); update it or use the CPU")]
     BadDriver(String),
+    /// The driver finds no such card.
+    #[error(
+        "the NVIDIA driver finds {count} graphics cards on this machine, and number {number}, counted from 0, was asked for; use the CPU"
+    )]
+    NoCard {
+        /// What was asked for.
+        number: usize,
+        /// What there is.
+        count: usize,
+    },
     /// The card is too old.
     #[error("{name} has compute capability {major}.{minor}, and 8.0 is needed; use the CPU")]
     TooOld {
@@ -66,6 +73,9 @@ pub enum CardError {
         /// How many there are.
         count: usize,
     },
+    /// An empty spoon was named.
+    #[error("spoon {0} is empty: fill it first")]
+    Empty(usize),
     /// A spoon was given two actions in one step.
     #[error("spoon {0} is named twice in one step; give its actions in two steps")]
     Twice(usize),
@@ -85,7 +95,7 @@ impl From<DriverError> for CardError {
 pub struct Card {
     stream: Arc<CudaStream>,
     kernel: CudaFunction,
-    name: String,
+    found: Found,
     multiprocessors: usize,
     is_small: bool,
     threads: u32,
@@ -118,32 +128,16 @@ impl Card {
     }
 
     fn with(number: usize, kernels: &str, small: bool) -> Result<Self> {
-        #[allow(unsafe_code)]
-        // SAFETY: loading the driver's library runs its initialisers, which have no preconditions.
-        if !unsafe { cudarc::driver::sys::is_culib_present() } {
-            return Err(CardError::NoDriver);
-        }
+        let found = find(number)?;
         // The bindings panic where the library lacks a function.
-        let opened = std::panic::catch_unwind(|| Self::opened(number, kernels, small));
-        opened.unwrap_or_else(|_| {
-            Err(CardError::BadDriver("it lacks functions that this program needs".to_owned()))
-        })
+        std::panic::catch_unwind(|| Self::opened(number, found, kernels, small))
+            .unwrap_or_else(|_| Err(lacking()))
     }
 
-    fn opened(number: usize, kernels: &str, small: bool) -> Result<Self> {
+    fn opened(number: usize, found: Found, kernels: &str, small: bool) -> Result<Self> {
         let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
         let context = CudaContext::new(number).map_err(bad)?;
-        let name = context.name()?;
-        let (major, minor) = context.compute_capability()?;
-        if (major, minor) < CAPABILITY {
-            return Err(CardError::TooOld { name, major, minor });
-        }
-        let has = |what: CUdevice_attribute| context.attribute(what).map(|it| it as usize);
-        let bytes = has(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MAX_SHARED_MEMORY_PER_BLOCK_OPTIN)?;
-        if bytes < layout::SHARED_SMALL + STATIC {
-            return Err(CardError::TooSmall { name, bytes });
-        }
-        let is_small = small || bytes < layout::SHARED + STATIC;
+        let is_small = small || !found.is_large;
         let module = context.load_module(Ptx::from_src(kernels)).map_err(bad)?;
         let kernel =
             module.load_function(if is_small { "flip_spoons_small" } else { "flip_spoons" })?;
@@ -152,14 +146,21 @@ impl Card {
             CUfunction_attribute::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES,
             shared as i32,
         )?;
-        let multiprocessors = has(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT)?;
+        let multiprocessors =
+            context.attribute(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT)?;
+        let multiprocessors = multiprocessors as usize;
         let stream = context.new_stream()?;
-        Ok(Self { stream, kernel, name, multiprocessors, is_small, threads: THREADS })
+        Ok(Self { stream, kernel, found, multiprocessors, is_small, threads: THREADS })
     }
 
     /// The card's name.
     pub fn name(&self) -> &str {
-        &self.name
+        &self.found.name
+    }
+
+    /// What is known of it.
+    pub fn found(&self) -> &Found {
+        &self.found
     }
 
     /// Multiprocessors: spoons that are carried out at the same time.

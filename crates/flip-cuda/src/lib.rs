@@ -28,6 +28,10 @@ mod bed;
 mod card;
 #[cfg(test)]
 mod card_tests;
+mod engine;
+#[cfg(test)]
+mod engine_tests;
+mod found;
 mod layout;
 mod orders;
 mod spoons;
@@ -35,8 +39,9 @@ mod spoons;
 #[path = "twin_for_tests.rs"]
 mod twin;
 
-pub use bed::{Bed, Refused};
+pub use bed::{Bed, GRAINS_MAX, Refused};
 pub use card::{Card, CardError};
+pub use found::{Found, find};
 pub use spoons::{Poured, Spoons};
 
 /// Result of something asked from a card.

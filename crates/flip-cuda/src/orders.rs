@@ -3,10 +3,10 @@
 
 use crate::layout::{self, Outcome};
 use crate::{Poured, Result};
-use flip_core::domain::bench::Action;
+use flip_sim::batch::Motion;
 use flip_sim::dispense::outside::{Departed, Plan, Spoon};
 
-/// One spoon's action.
+/// One spoon's motion.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Task<'a> {
     /// Places in the tables of spoons and laws.
@@ -15,7 +15,7 @@ pub(crate) struct Task<'a> {
     /// Shape and law of it.
     pub shape: &'a Spoon,
     pub pitch_deg: f64,
-    pub action: Action,
+    pub motion: Motion,
     /// Grains in it.
     pub grains: u32,
 }
@@ -44,7 +44,10 @@ pub(crate) struct Raw {
 }
 
 /// Applies `each` to all items on all processors.
-fn on_all<T: Sync, R: Send>(items: &[T], each: impl Fn(usize, &T) -> R + Sync) -> Vec<R> {
+pub(crate) fn on_all<T: Sync, R: Send>(
+    items: &[T],
+    each: impl Fn(usize, &T) -> R + Sync,
+) -> Vec<R> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = items.len().div_ceil(threads).max(1);
     let each = &each;
@@ -66,7 +69,7 @@ fn on_all<T: Sync, R: Send>(items: &[T], each: impl Fn(usize, &T) -> R + Sync) -
 /// Plans every task.
 pub(crate) fn plan(tasks: &[Task]) -> Orders {
     let mut orders = Orders {
-        plans: on_all(tasks, |_, task| task.shape.plan(task.pitch_deg, task.action)),
+        plans: on_all(tasks, |_, task| task.shape.plan(task.pitch_deg, task.motion)),
         ..Orders::default()
     };
     let mut weights = Vec::with_capacity(tasks.len());
@@ -132,6 +135,7 @@ pub(crate) fn poured(tasks: &[Task], orders: &Orders, raw: &Raw) -> Result<Vec<P
             substeps: outcome.substeps,
             rebuilds: outcome.rebuilds,
             kept: outcome.kept,
+            left: [vial, spilled],
         }
     }))
 }

@@ -4,6 +4,7 @@ use crate::orders::{self, Task};
 use crate::{Bed, Card, CardError, Fault, Result, layout};
 use cudarc::driver::CudaSlice;
 use flip_core::domain::bench::Action;
+use flip_sim::batch::Motion;
 use flip_sim::dispense::outside::State;
 use flip_sim::snapshot::Snapshot;
 
@@ -28,26 +29,68 @@ pub struct Poured {
     /// Neighbour lists built.
     pub rebuilds: u32,
     pub(crate) kept: u32,
+    /// Grains that fell into the vial, and those that missed it.
+    pub(crate) left: [u32; 2],
 }
 
+/// What is known here of a spoon that was filled.
 #[derive(Debug, Clone, Copy)]
 struct Standing {
+    /// Place of its law, and of its bed: in the bank or, behind it, its own.
     bed: usize,
     pitch_deg: f64,
     grains: u32,
     substeps: u32,
+    /// Grains in the vial and beside it since it was filled.
+    left: [u32; 2],
+}
+
+impl Standing {
+    fn filled(place: usize, bed: &Bed) -> Self {
+        let Bed { grains, pitch_deg, .. } = *bed;
+        Self { bed: place, pitch_deg, grains, substeps: 0, left: [0; 2] }
+    }
 }
 
 /// Spoons on one card, each with its own powder. Their states stay there between actions.
 #[derive(Debug)]
 pub struct Spoons {
     card: Card,
-    beds: Vec<Bed>,
+    held: Held,
+    /// Of the bank, then of each spoon's own.
     laws: CudaSlice<u32>,
     bank: CudaSlice<u32>,
     words: CudaSlice<u32>,
-    standing: Vec<Standing>,
     kernel_s: f64,
+}
+
+/// What is known here of the beds and the spoons.
+#[derive(Debug)]
+struct Held {
+    /// The bank.
+    beds: Vec<Bed>,
+    /// What spoons were filled with that is not in the bank, by spoon.
+    own: Vec<Option<Bed>>,
+    /// By spoon; none is empty.
+    standing: Vec<Option<Standing>>,
+}
+
+impl Held {
+    fn exists(&self, spoon: usize) -> Result<()> {
+        let count = self.standing.len();
+        if spoon < count { Ok(()) } else { Err(CardError::NoSuch { number: spoon, count }) }
+    }
+
+    /// A filled spoon, and what it was filled with.
+    fn filled(&self, spoon: usize) -> Result<(&Standing, &Bed)> {
+        self.exists(spoon)?;
+        let standing = self.standing[spoon].as_ref();
+        let found = standing.and_then(|it| {
+            let bed = self.beds.get(it.bed).or(self.own[spoon].as_ref());
+            bed.map(|bed| (it, bed))
+        });
+        found.ok_or(CardError::Empty(spoon))
+    }
 }
 
 impl Spoons {
@@ -60,44 +103,78 @@ impl Spoons {
         if beds.is_empty() || count == 0 {
             return Err(CardError::NoSuch { number: 0, count: 0 });
         }
-        let stream = card.stream();
-        let laws: Vec<u32> = beds.iter().flat_map(|bed| &bed.law).copied().collect();
-        let laws = stream.clone_htod(&laws)?;
-        let mut bank = stream.alloc_zeros::<u32>(beds.len() * layout::IMAGE)?;
-        for (k, bed) in beds.iter().enumerate() {
-            let mut place = bank.slice_mut(k * layout::IMAGE..(k + 1) * layout::IMAGE);
-            stream.memcpy_htod(&bed.image, &mut place)?;
-        }
-        let words = stream.alloc_zeros::<u32>(count * layout::SPOON)?;
-        stream.synchronize()?;
-        let standing = vec![Standing { bed: 0, pitch_deg: 0.0, grains: 0, substeps: 0 }; count];
-        let mut spoons =
-            Self { card: card.clone(), laws, bank, words, standing, beds, kernel_s: 0.0 };
+        let mut spoons = Self::with_bank(card, beds, count)?;
         for spoon in 0..count {
-            spoons.fill(spoon, spoon % spoons.beds.len())?;
+            spoons.fill(spoon, spoon % spoons.held.beds.len())?;
         }
         Ok(spoons)
     }
 
-    /// How many there are.
-    pub fn count(&self) -> usize {
-        self.standing.len()
+    /// So many empty spoons, each to be filled by [`Spoons::put`].
+    ///
+    /// # Errors
+    /// [`CardError`]: too little memory, or a card that fails.
+    pub fn empty(card: &Card, count: usize) -> Result<Self> {
+        Self::with_bank(card, Vec::new(), count)
     }
 
-    /// Fills a spoon from a bed, and forgets what was in it.
+    fn with_bank(card: &Card, beds: Vec<Bed>, count: usize) -> Result<Self> {
+        let stream = card.stream();
+        let mut laws = stream.alloc_zeros::<u32>(((beds.len() + count) * layout::LAW).max(1))?;
+        // No table may be empty.
+        let mut bank = stream.alloc_zeros::<u32>((beds.len() * layout::IMAGE).max(1))?;
+        for (k, bed) in beds.iter().enumerate() {
+            let mut place = bank.slice_mut(k * layout::IMAGE..(k + 1) * layout::IMAGE);
+            stream.memcpy_htod(&bed.image, &mut place)?;
+            let mut place = laws.slice_mut(k * layout::LAW..(k + 1) * layout::LAW);
+            stream.memcpy_htod(&bed.law, &mut place)?;
+        }
+        let words = stream.alloc_zeros::<u32>((count * layout::SPOON).max(1))?;
+        stream.synchronize()?;
+        let (own, standing) = ((0..count).map(|_| None).collect(), vec![None; count]);
+        let held = Held { beds, own, standing };
+        Ok(Self { card: card.clone(), held, laws, bank, words, kernel_s: 0.0 })
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.held.standing.len()
+    }
+
+    /// Fills a spoon from a bed of the bank, and forgets what was in it.
     ///
     /// # Errors
     /// [`CardError::NoSuch`], or a card that fails.
     pub fn fill(&mut self, spoon: usize, bed: usize) -> Result<()> {
-        let missing = |number: usize, count: usize| CardError::NoSuch { number, count };
-        let (spoons, beds) = (self.standing.len(), self.beds.len());
-        let from = self.beds.get(bed).ok_or_else(|| missing(bed, beds))?;
-        let standing = self.standing.get_mut(spoon).ok_or_else(|| missing(spoon, spoons))?;
+        self.held.exists(spoon)?;
+        let beds = self.held.beds.len();
+        let from = self.held.beds.get(bed).ok_or(CardError::NoSuch { number: bed, count: beds })?;
         let image = self.bank.slice(bed * layout::IMAGE..(bed + 1) * layout::IMAGE);
         let start = spoon * layout::SPOON;
         let mut place = self.words.slice_mut(start..start + layout::IMAGE);
         self.card.stream().memcpy_dtod(&image, &mut place)?;
-        *standing = Standing { bed, pitch_deg: from.pitch_deg, grains: from.grains, substeps: 0 };
+        self.held.standing[spoon] = Some(Standing::filled(bed, from));
+        Ok(())
+    }
+
+    /// Fills a spoon with this bed, and forgets what was in it: 0.4 MB go to the card.
+    ///
+    /// # Errors
+    /// [`CardError::NoSuch`], or a card that fails.
+    pub fn put(&mut self, spoon: usize, mut bed: Bed) -> Result<()> {
+        self.held.exists(spoon)?;
+        let stream = self.card.stream();
+        let start = spoon * layout::SPOON;
+        let mut place = self.words.slice_mut(start..start + layout::IMAGE);
+        stream.memcpy_htod(&bed.image, &mut place)?;
+        let law = self.held.beds.len() + spoon;
+        let mut place = self.laws.slice_mut(law * layout::LAW..(law + 1) * layout::LAW);
+        stream.memcpy_htod(&bed.law, &mut place)?;
+        // Until then the card may read them.
+        stream.synchronize()?;
+        (bed.image, bed.law) = (Vec::new(), Vec::new());
+        self.held.standing[spoon] = Some(Standing::filled(law, &bed));
+        self.held.own[spoon] = Some(bed);
         Ok(())
     }
 
@@ -106,33 +183,51 @@ impl Spoons {
     /// are in the order of the actions; a spoon may be named once.
     ///
     /// # Errors
-    /// [`CardError`]: a spoon that does not exist or is named twice, or a card that fails; the
-    /// states on it are lost then.
+    /// [`CardError`]: a spoon that does not exist, is empty or is named twice, or a card that fails;
+    /// the states on it are lost then.
     pub fn step(&mut self, actions: &[(usize, Action)]) -> Result<Vec<Poured>> {
-        let count = self.standing.len();
-        let mut named = vec![false; count];
-        let mut tasks = Vec::with_capacity(actions.len());
-        for &(spoon, action) in actions {
-            match named.get_mut(spoon) {
-                Some(named) if *named => return Err(CardError::Twice(spoon)),
-                Some(named) => *named = true,
-                None => return Err(CardError::NoSuch { number: spoon, count }),
+        let motions = actions.iter().map(|(spoon, action)| (*spoon, Motion::Act(*action)));
+        self.carry_out(&motions.collect::<Vec<_>>())
+    }
+
+    /// The same for motions of any kind.
+    ///
+    /// # Errors
+    /// As [`Spoons::step`].
+    pub fn carry_out(&mut self, motions: &[(usize, Motion)]) -> Result<Vec<Poured>> {
+        let mut named = vec![false; self.held.standing.len()];
+        let mut tasks = Vec::with_capacity(motions.len());
+        for &(spoon, motion) in motions {
+            let (standing, bed) = self.held.filled(spoon)?;
+            if std::mem::replace(&mut named[spoon], true) {
+                return Err(CardError::Twice(spoon));
             }
-            let Standing { bed, pitch_deg, grains, .. } = self.standing[spoon];
-            let shape = &self.beds[bed].shape;
-            tasks.push(Task { spoon, law: bed, shape, pitch_deg, action, grains });
+            let Standing { bed: law, pitch_deg, grains, .. } = *standing;
+            tasks.push(Task { spoon, law, shape: &bed.shape, pitch_deg, motion, grains });
         }
         let orders = orders::plan(&tasks);
         let raw = self.card.carry_out(&self.laws, &mut self.words, &orders)?;
         self.kernel_s = raw.kernel_s;
         let poured = orders::poured(&tasks, &orders, &raw)?;
-        for (&(spoon, _), poured) in actions.iter().zip(&poured) {
-            let standing = &mut self.standing[spoon];
+        for (&(spoon, _), poured) in motions.iter().zip(&poured) {
+            let Some(standing) = &mut self.held.standing[spoon] else { continue };
             standing.pitch_deg = poured.pitch_deg;
             standing.grains = poured.kept;
             standing.substeps += poured.substeps;
+            for (sum, more) in standing.left.iter_mut().zip(poured.left) {
+                *sum += more;
+            }
         }
         Ok(poured)
+    }
+
+    /// Powder in the vial and beside it since a spoon was filled, mg.
+    ///
+    /// # Errors
+    /// [`CardError`]: a spoon that does not exist or is empty.
+    pub fn left_mg(&self, spoon: usize) -> Result<[f64; 2]> {
+        let (standing, bed) = self.held.filled(spoon)?;
+        Ok(standing.left.map(|grains| f64::from(grains) * bed.shape.grain_mg))
     }
 
     /// Time that the card took for the last step, s: without planning, copying and judging.
@@ -147,20 +242,16 @@ impl Spoons {
     /// As [`Spoons::state`].
     pub fn snapshot(&self, spoon: usize) -> Result<Snapshot> {
         let state = self.state(spoon)?;
-        let Standing { bed, substeps, .. } = self.standing[spoon];
-        let shape = &self.beds[bed].shape;
-        Ok(shape.snapshot(&state, f64::from(substeps) * shape.substep_s))
+        let (standing, Bed { shape, .. }) = self.held.filled(spoon)?;
+        Ok(shape.snapshot(&state, f64::from(standing.substeps) * shape.substep_s))
     }
 
     /// The grains of a spoon and the memory of their contacts, in the spoon's frame.
     ///
     /// # Errors
-    /// [`CardError`]: a spoon that does not exist, or a card that fails.
+    /// [`CardError`]: a spoon that does not exist or is empty, or a card that fails.
     pub fn state(&self, spoon: usize) -> Result<State> {
-        let count = self.standing.len();
-        if spoon >= count {
-            return Err(CardError::NoSuch { number: spoon, count });
-        }
+        self.held.filled(spoon)?;
         let stream = self.card.stream();
         let start = spoon * layout::SPOON;
         let mut words = stream.clone_dtoh(&self.words.slice(start..start + layout::MOTION))?;

@@ -172,7 +172,14 @@ fn a_whole_action_of_the_twin_pours_about_what_flip_sim_pours_and_loses_no_grain
         let (mut pitch_deg, mut grains) = (0.0, image[0]);
         let (mut mine, mut theirs) = (0.0, 0.0);
         for action in [Action::once(8.0, 0.0), Action::once(8.0, 8.0), Action::once(8.0, 12.0)] {
-            let tasks = [Task { spoon: 0, law: 0, shape: &spoon, pitch_deg, action, grains }];
+            let tasks = [Task {
+                spoon: 0,
+                law: 0,
+                shape: &spoon,
+                pitch_deg,
+                motion: action.into(),
+                grains,
+            }];
             let orders = orders::plan(&tasks);
             let Some((states, raw)) = carry_out(std::slice::from_ref(&law), &[image], &orders)
             else {

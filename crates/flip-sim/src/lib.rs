@@ -57,6 +57,7 @@
 //! equal masses cancel.
 
 pub mod balance;
+pub mod batch;
 pub mod column;
 mod constraints;
 mod contacts;

@@ -22,6 +22,7 @@
 use super::jobs::{job_topic, left_s};
 use super::row::Columns;
 use super::{Error, Result, Store, Tx};
+use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState, Progress};
 use flip_core::domain::timestamp::Timestamp;
 use serde::Serialize;
@@ -55,6 +56,17 @@ pub struct Claimed {
     pub checkpoint: Option<String>,
 }
 
+/// A job that waits for a worker.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Claimable {
+    /// Its kind.
+    pub kind: JobKind,
+    /// What it computes on.
+    pub device: Device,
+    /// The job.
+    pub job: String,
+}
+
 /// Answer to a worker's claim.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Claim {
@@ -68,17 +80,30 @@ pub enum Claim {
 }
 
 impl Store {
-    /// The job of each kind that has waited longest, oldest first: queued, or left by a worker
-    /// whose lease has expired. A kind that is not known here waits for a program that knows it.
-    pub async fn claimable(&self, now: Timestamp) -> Result<Vec<(JobKind, String)>> {
+    /// The job of each kind and device that has waited longest, oldest first: queued, or left by a
+    /// worker whose lease has expired. A kind or device that is not known here waits for a program
+    /// that knows it.
+    pub async fn claimable(&self, now: Timestamp) -> Result<Vec<Claimable>> {
         // The list of states and the kind that is no column let the index of unfinished jobs answer: an idle worker
         // must not read the history.
-        let sql = "SELECT id, kind FROM job WHERE seq IN \
+        // Only those that name a device are taken apart: a queue is long.
+        let sql = "SELECT id, kind, coalesce(subject ->> '$.device', 'cpu') AS device FROM job WHERE seq IN \
                    (SELECT min(seq) FROM job WHERE state IN ('queued', 'running') \
-                    AND (state = 'queued' OR lease_until < $1) GROUP BY kind || '') ORDER BY seq";
+                    AND (state = 'queued' OR lease_until < $1) \
+                    GROUP BY kind || '', CASE WHEN subject LIKE '%\"device\":%' THEN subject ->> '$.device' END) \
+                   ORDER BY seq";
         let rows = sqlx::query(sql).bind(now.unix_ms()).fetch_all(&self.reader).await?;
-        let known = |row: &AnyRow| Some((row.word("job", "kind").ok()?, row.plain("id")));
-        rows.iter().filter_map(known).map(|(kind, id)| Ok((kind, id?))).collect()
+        let known = |row: &AnyRow| {
+            let (kind, device) = (row.word("job", "kind").ok()?, row.word("job", "device").ok()?);
+            Some(row.plain("id").map(|job| Claimable { kind, device, job }))
+        };
+        rows.iter().filter_map(known).collect()
+    }
+
+    /// The artifact that a job would be resumed from, by its SHA-256.
+    pub async fn checkpoint_of(&self, id: &str) -> Result<Option<String>> {
+        let sql = "SELECT checkpoint FROM job WHERE id = $1 AND checkpoint IS NOT NULL";
+        Ok(sqlx::query_scalar(sql).bind(id).fetch_optional(&self.reader).await?)
     }
 
     /// Requeue running jobs that nobody computes. Sound only at startup: the lock on the data folder
@@ -272,6 +297,33 @@ impl Tx {
         debug_assert!(matches!(state, JobState::Failed | JobState::Cancelled));
         self.prove(lease).await?;
         self.end_unclaimed(&lease.job, state, error, now).await
+    }
+
+    /// Fail a job whose device failed, and keep its checkpoint: another job may go on from it, on
+    /// another device.
+    pub async fn fail_keeping_checkpoint(
+        &mut self,
+        lease: &Lease,
+        error: &str,
+        now: Timestamp,
+    ) -> Result<()> {
+        let checkpoint: Option<String> = self.prove(lease).await?.plain("checkpoint")?;
+        // Ended as others are, without letting go of the file.
+        let sql = "UPDATE job SET checkpoint = $2 WHERE id = $1";
+        let set = async |tx: &mut Self, to: Option<&String>| -> Result<()> {
+            sqlx::query(sql).bind(&lease.job).bind(to).execute(&mut *tx.inner).await?;
+            Ok(())
+        };
+        set(self, None).await?;
+        self.end_unclaimed(&lease.job, JobState::Failed, Some(error), now).await?;
+        set(self, checkpoint.as_ref()).await
+    }
+
+    /// Let a job that waits begin from this artifact.
+    pub async fn begin_from(&mut self, id: &str, sha256: &str) -> Result<()> {
+        let sql = "UPDATE job SET checkpoint = $2 WHERE id = $1 AND state = 'queued'";
+        sqlx::query(sql).bind(id).bind(sha256).execute(&mut *self.inner).await?;
+        Ok(())
     }
 
     /// Record a failed attempt: requeue the job, or fail it if this was the last attempt.

@@ -30,6 +30,9 @@ pub struct Worker {
     pub threads: u32,
     /// Whether it answers requests, too.
     pub serves: bool,
+    /// Its graphics card, on which it computes jobs that ask for one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub card: Option<String>,
     /// When it started.
     pub started_at: Timestamp,
     /// When it was last heard of.
@@ -110,8 +113,8 @@ impl Tx {
         let old = "DELETE FROM worker WHERE heard_at < $1";
         let old = sqlx::query(old).bind(new.started_at.unix_ms() - REMEMBERED_MS);
         old.execute(&mut *self.inner).await?;
-        let sql = "INSERT INTO worker (id, name, version, kinds, threads, serves, started_at, heard_at) \
-                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8)";
+        let sql = "INSERT INTO worker (id, name, version, kinds, threads, serves, started_at, heard_at, card) \
+                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9)";
         sqlx::query(sql)
             .bind(&new.id)
             .bind(&new.name)
@@ -121,6 +124,7 @@ impl Tx {
             .bind(new.serves)
             .bind(new.started_at.unix_ms())
             .bind(new.heard_at.unix_ms())
+            .bind(&new.card)
             .execute(&mut *self.inner)
             .await?;
         Ok(())
@@ -150,6 +154,7 @@ fn worker(row: &AnyRow) -> Result<Worker> {
         kinds: row.json("kinds")?,
         threads: row.count("threads")?,
         serves,
+        card: row.plain("card")?,
         started_at: row.time("started_at")?,
         heard_at: row.time("heard_at")?,
         ended_at: row.maybe_time("ended_at")?,

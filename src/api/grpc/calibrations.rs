@@ -1,6 +1,7 @@
 //! `flip.v1.Calibrations`.
 
-use super::convert::{all, conditions, given, labels, named, observation, page};
+use super::convert::{all, conditions, given, labels, named, page};
+use super::observables::observation;
 use super::proto::*;
 use super::shakes::stored_shakes;
 use super::{Service, read, write};

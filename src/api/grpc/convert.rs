@@ -8,9 +8,10 @@ use flip_core::domain::FieldError;
 use flip_core::domain::apparatus::{Apparatus, Stroke, StrokeResponse};
 use flip_core::domain::bench::{BenchKind, Tick};
 use flip_core::domain::conditions::{Condition, Conditions, Under};
+use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState};
 use flip_core::domain::labels::Labels;
-use flip_core::domain::observable::{Observable, Observation};
+use flip_core::domain::observable::Observation;
 use flip_core::domain::parameters::{Parameter, ParameterSet};
 use flip_core::domain::pile::Angle;
 use flip_core::domain::powder::{Flowability, Method};
@@ -38,6 +39,7 @@ macro_rules! same_names {
 }
 
 same_names! {
+    Device = Device { Cpu Cuda }
     Method = Method { Automated Manual }
     JobKind = JobKind { Calibration Training Evaluation Investigation Repose Film }
     JobState = JobState { Queued Running Succeeded Failed Cancelled }
@@ -171,9 +173,10 @@ same_fields! {
         levels: all(t.levels),
         settings_json: t.settings.to_string(),
         result: t.result.map(Into::into),
+        device: card_of(t.device),
     }
     l: app::TrainingLevel => TrainingLevel { powder repose_deg sets } {}
-    r: app::TrainingResult => TrainingResult { policy episodes final_error_mg } {
+    r: app::TrainingResult => TrainingResult { policy episodes final_error_mg card } {
         levels_json: r.levels.iter().map(ToString::to_string).collect(),
     }
     e: app::Episode => Episode {
@@ -196,8 +199,9 @@ same_fields! {
         extensions: e.conditions.amplitudes().into_iter().collect(),
         under: e.under.map(Into::into),
         substep_us: e.conditions.substep_us,
+        device: card_of(e.device),
     }
-    r: app::EvaluationResult => EvaluationResult {} {
+    r: app::EvaluationResult => EvaluationResult { card } {
         rows: all(r.rows),
         summary: all(r.summary),
     }
@@ -401,52 +405,6 @@ impl From<ParameterSet> for proto::ParameterSet {
     }
 }
 
-impl From<Observable> for proto::Observable {
-    fn from(ours: Observable) -> Self {
-        use proto::observable::Kind;
-        let kind = match ours {
-            Observable::FlowTime { mass_g, orifice_mm } => {
-                Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm })
-            }
-            Observable::ShakeMass { pitch_deg, shake_mm } => {
-                Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm })
-            }
-            Observable::DrainedAngle {} => Kind::DrainedAngle(proto::DrainedAngle {}),
-            Observable::PileHeight { base_diameter_mm, fall_mm } => {
-                Kind::PileHeight(proto::PileHeight { base_diameter_mm, fall_mm })
-            }
-        };
-        Self { kind: Some(kind) }
-    }
-}
-
-/// An observation in a request; `field` is its location in the request.
-pub fn observation(field: &str, wire: proto::Observation) -> Result<Observation, Problem> {
-    let proto::Observation { observable, mean, sd, n } = wire;
-    let observable = observable.and_then(Into::into);
-    let observable = observable.ok_or_else(|| missing(&format!("{field}.observable")))?;
-    Ok(Observation { observable, mean, sd, n })
-}
-
-/// `None` if the caller named no observable, or one that this version does not know.
-impl From<proto::Observable> for Option<Observable> {
-    fn from(wire: proto::Observable) -> Self {
-        use proto::observable::Kind;
-        Some(match wire.kind? {
-            Kind::FlowTime(proto::FlowTime { mass_g, orifice_mm }) => {
-                Observable::FlowTime { mass_g, orifice_mm }
-            }
-            Kind::ShakeMass(proto::ShakeMass { pitch_deg, shake_mm }) => {
-                Observable::ShakeMass { pitch_deg, shake_mm }
-            }
-            Kind::DrainedAngle(proto::DrainedAngle {}) => Observable::DrainedAngle {},
-            Kind::PileHeight(proto::PileHeight { base_diameter_mm, fall_mm }) => {
-                Observable::PileHeight { base_diameter_mm, fall_mm }
-            }
-        })
-    }
-}
-
 impl From<(app::Job, bool)> for proto::StartJobResponse {
     fn from((job, created): (app::Job, bool)) -> Self {
         Self { job: Some(job.into()), created }
@@ -464,6 +422,11 @@ where
     let wire = W::try_from(number)
         .map_err(|_| FieldError::new(field, "is not one of the values of its enum"))?;
     Ok(wire.into())
+}
+
+/// What is said of a device: nothing of the processor.
+pub fn card_of(device: Device) -> Option<i32> {
+    (!device.is_cpu()).then(|| proto::Device::from(device).into())
 }
 
 /// The refusal of a request without this field.

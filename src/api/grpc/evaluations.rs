@@ -1,6 +1,6 @@
 //! `flip.v1.Evaluations`.
 
-use super::convert::{all, conditions, given, labels, page};
+use super::convert::{all, conditions, given, labels, named, page};
 use super::proto::*;
 use super::{Service, read, write};
 use crate::app::EvaluationRequest;
@@ -27,6 +27,7 @@ impl evaluations_server::Evaluations for Service {
             as_calibrated: asked.as_calibrated,
             substep_us: asked.substep_us,
             spoon: spoon(asked.spoon),
+            device: named::<Device, _>("device", asked.device)?.unwrap_or_default(),
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),

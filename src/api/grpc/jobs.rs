@@ -1,6 +1,6 @@
 //! `flip.v1.Jobs`.
 
-use super::convert::{all, at, named, page};
+use super::convert::{all, at, card_of, named, page};
 use super::proto::*;
 use super::{EventStream, Service, after, read, watch, write};
 use crate::api::problem::Problem;
@@ -54,7 +54,9 @@ impl jobs_server::Jobs for Service {
         &self,
         request: Request<StartJobAgainRequest>,
     ) -> Result<Response<StartJobResponse>, Status> {
-        Ok(Response::new(self.app.start_again(&write(request)?.id).await?.into()))
+        let StartJobAgainRequest { id, device } = write(request)?;
+        let device = named::<Device, _>("device", device.unwrap_or_default())?;
+        Ok(Response::new(self.app.start_again(&id, device).await?.into()))
     }
 
     type WatchJobStream = EventStream;
@@ -90,6 +92,7 @@ impl From<app::Worker> for Worker {
             heard_at: at(it.heard_at),
             ended_at: it.ended_at.and_then(at),
             jobs: it.jobs,
+            card: it.card,
         }
     }
 }
@@ -112,6 +115,7 @@ impl From<app::Job> for Job {
             powders: j.subject.powders,
             policy: j.subject.policy,
             repose_deg: j.subject.repose_deg,
+            device: card_of(j.subject.device),
             left_s: j.left_s,
             place: j.place,
             expected_s: j.expected_s,

@@ -12,6 +12,7 @@ mod health;
 mod investigations;
 mod jobs;
 mod labels;
+mod observables;
 mod policies;
 mod powders;
 mod repose;

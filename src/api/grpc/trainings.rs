@@ -21,6 +21,7 @@ impl trainings_server::Trainings for Service {
             surrogate_episodes: asked.surrogate_episodes,
             powders: given(asked.powders),
             from: asked.from,
+            device: named::<Device, _>("device", asked.device)?.unwrap_or_default(),
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),

@@ -9,7 +9,7 @@ use super::wait::{WaitParams, waited};
 use crate::api::auth::{Operator, Viewer};
 use crate::api::problem::Problem;
 use crate::api::wire::{
-    ArchivedItems, Job, JobKind, JobState, JobTimes, Labelled, Page, Request, Worker,
+    ArchivedItems, Device, Job, JobKind, JobState, JobTimes, Labelled, Page, Request, Worker,
 };
 use crate::app::{App, JobsWanted, LabelWanted, Topic};
 use axum::Json;
@@ -121,10 +121,21 @@ pub async fn cancel_job(
     Ok(accepted(format!("/v1/jobs/{}", job.id), job))
 }
 
+/// How a job starts again.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct AgainParams {
+    /// `cpu`: compute it on the processor instead of a card. A training whose card failed goes on from
+    /// its checkpoint. Left out, the job has the same inputs.
+    device: Option<Device>,
+}
+
 /// Start a failed or cancelled job again.
 ///
 /// The same inputs, as a new job whose `again_of` is the old one.
-#[utoipa::path(post, path = "/v1/jobs/{id}/again", tag = "jobs", params(("id" = String, Path, description = "Job id")),
+#[utoipa::path(post, path = "/v1/jobs/{id}/again", tag = "jobs",
+    params(("id" = String, Path, description = "Job id"), AgainParams),
     responses((status = 202, description = "The new job", body = Job,
         headers(("Location" = String, description = "URL of the new job"))),
         (status = 200, description = "An equal job was requested meanwhile: that one", body = Job),
@@ -134,6 +145,8 @@ pub async fn start_job_again(
     _: Operator,
     State(app): State<App>,
     Path(id): Path<String>,
+    Query(params): Query<AgainParams>,
 ) -> Result<Response, Problem> {
-    Ok(started("jobs", app.start_again(&id).await?))
+    let device = params.device.map(Request::means);
+    Ok(started("jobs", app.start_again(&id, device).await?))
 }

@@ -1,6 +1,6 @@
 //! Evaluations of controllers.
 
-use super::{Conditions, Day, Job, Labels, Spoon, Under};
+use super::{Conditions, Day, Device, Job, Labels, Spoon, Under, is_default};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -13,9 +13,12 @@ pub struct EvaluationResult {
     pub rows: Vec<EvaluationRow>,
     /// One row for each controller.
     pub summary: Vec<EvaluationSummary>,
+    /// The graphics card that it was computed on; absent for the processor.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub card: Option<String>,
 }
 
-answer! { app::EvaluationResult => EvaluationResult { rows, summary } }
+answer! { app::EvaluationResult => EvaluationResult { rows, summary, card } }
 
 /// What to evaluate. Everything has a default.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, ToSchema)]
@@ -54,6 +57,11 @@ pub struct EvaluationRequest {
     /// The spoon used for dosing; default FLIP's own, which holds about 40 mg.
     #[serde(default)]
     pub spoon: Option<Spoon>,
+    /// What simulates: the processor, or a graphics card of this process or of a worker. A card's doses
+    /// have the statistics of the processor's and other bytes, and do not count for which policy weighs
+    /// best.
+    #[serde(default)]
+    pub device: Device,
     /// Seed; default 1.
     pub seed: Option<u64>,
     /// Extended simulator version, `sv-…`; default the base.
@@ -71,7 +79,7 @@ pub struct EvaluationRequest {
 
 request! { EvaluationRequest => app::EvaluationRequest {
     policy, controllers, powders, targets_mg, repeats, readability_mg, max_shakes, particles,
-    extensions, as_calibrated, substep_us, spoon, seed, simulator, conditions, labels,
+    extensions, as_calibrated, substep_us, spoon, device, seed, simulator, conditions, labels,
 } }
 
 /// An evaluation: its job, its settings, and the errors once it has succeeded.
@@ -98,6 +106,9 @@ pub struct Evaluation {
     /// The extended simulator version and the conditions given; absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
+    /// What it simulates on; absent for the processor.
+    #[serde(skip_serializing_if = "is_default")]
+    pub device: Device,
     /// Seed.
     pub seed: u64,
     /// The errors; absent until it has succeeded.
@@ -106,7 +117,7 @@ pub struct Evaluation {
 
 answer! { app::Evaluation => Evaluation {
     job, policy, controllers, powders, targets_mg, repeats, readability_mg, max_shakes, conditions,
-    under, seed, result,
+    under, device, seed, result,
 } }
 
 /// Errors of one controller in one cell of an evaluation.

@@ -97,6 +97,9 @@ pub struct Worker {
     pub threads: u32,
     /// Whether it answers requests, too.
     pub serves: bool,
+    /// Its graphics card, on which it computes jobs that ask for one; absent if it has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub card: Option<String>,
     /// When it started.
     pub started_at: Timestamp,
     /// When it was last heard of.
@@ -109,10 +112,10 @@ pub struct Worker {
 }
 
 answer! { flip_store::workers::Worker => Worker {
-    id, name, version, kinds, threads, serves, started_at, heard_at, ended_at, jobs,
+    id, name, version, kinds, threads, serves, card, started_at, heard_at, ended_at, jobs,
 } }
 
-/// What a job is about.
+/// What a job is about, and what it computes on.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Subject {
     /// Ids of its powders, in the order of the request, each once.
@@ -123,9 +126,26 @@ pub struct Subject {
     /// The angle of repose that it aims at, degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub repose_deg: Option<f64>,
+    /// What it computes on; absent for the processor.
+    #[serde(skip_serializing_if = "is_default")]
+    pub device: Device,
 }
 
-answer! { flip_core::domain::job::Subject => Subject { powders, policy, repose_deg } }
+answer! { flip_core::domain::job::Subject => Subject { powders, policy, repose_deg, device } }
+
+/// What a job computes on.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Device {
+    /// The processor.
+    #[default]
+    Cpu,
+    /// A graphics card.
+    Cuda,
+}
+
+answer! { flip_core::domain::device::Device => enum Device { Cpu, Cuda } }
+request! { enum Device => flip_core::domain::device::Device { Cpu, Cuda } }
 
 /// An event of a job or a weighing, or a choice of the current simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]

@@ -1,6 +1,6 @@
 //! Trainings and policies.
 
-use super::{Day, Job, Labels, Spoon, Timestamp, Under};
+use super::{Day, Device, Job, Labels, Spoon, Timestamp, Under, is_default};
 use crate::app;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -17,9 +17,12 @@ pub struct TrainingResult {
     /// The levels it trained on, in the order met, with the episodes on each.
     #[schema(value_type = Vec<Object>)]
     pub levels: Vec<serde_json::Value>,
+    /// The graphics card that simulated; absent for the processor.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub card: Option<String>,
 }
 
-answer! { app::TrainingResult => TrainingResult { policy, episodes, final_error_mg, levels } }
+answer! { app::TrainingResult => TrainingResult { policy, episodes, final_error_mg, levels, card } }
 
 /// What to train. Everything has a default.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize, ToSchema)]
@@ -44,6 +47,10 @@ pub struct TrainingRequest {
     /// surrogate.
     #[serde(default)]
     pub from: Option<String>,
+    /// What simulates: the processor, or a graphics card of this process or of a worker. The same
+    /// training on a card gives another policy: it plays 32 episodes a round instead of 4.
+    #[serde(default)]
+    pub device: Device,
     /// Seed; default 1.
     pub seed: Option<u64>,
     /// Extended simulator version, `sv-…`; default the base.
@@ -68,7 +75,7 @@ pub struct TrainingRequest {
 }
 
 request! { TrainingRequest => app::TrainingRequest {
-    order, preset, episodes, surrogate_episodes, powders, from, seed, simulator, conditions,
+    order, preset, episodes, surrogate_episodes, powders, from, device, seed, simulator, conditions,
     as_calibrated, spoon, labels,
 } }
 
@@ -88,6 +95,9 @@ pub struct Training {
     /// The extended simulator version and the conditions given; absent for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
+    /// What it simulates on; absent for the processor.
+    #[serde(skip_serializing_if = "is_default")]
+    pub device: Device,
     /// Every setting.
     #[schema(value_type = Object)]
     pub settings: serde_json::Value,
@@ -99,7 +109,7 @@ pub struct Training {
 }
 
 answer! { app::Training => Training {
-    job, order, preset, episodes, levels, under, settings, kept_episodes, result,
+    job, order, preset, episodes, levels, under, device, settings, kept_episodes, result,
 } }
 
 /// One level of a training.

@@ -75,6 +75,7 @@ impl Shop {
             kinds: KINDS.to_vec(),
             threads: 1,
             serves: false,
+            card: None,
             started_at: now(),
             heard_at: now(),
             ended_at: None,

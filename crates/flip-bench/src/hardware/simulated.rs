@@ -6,12 +6,13 @@ use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::rest::Rest;
 use flip_core::domain::seed::derive;
 use flip_sim::balance;
-use flip_sim::dispense::{self, Dispenser, Poured};
+use flip_sim::batch::{Filled, Motion};
+use flip_sim::dispense::{self, Dispenser};
 
-/// A bench whose powder is simulated.
+/// A bench whose powder is simulated, on a core or in a place of a batch.
 #[derive(Debug, Clone)]
-pub struct SimulatedBench {
-    spoon: Dispenser,
+pub struct SimulatedBench<S = Dispenser> {
+    spoon: S,
     balance: balance::Settings,
     noise: u64,
     readings: u64,
@@ -29,11 +30,18 @@ impl SimulatedBench {
         balance: &balance::Settings,
         seed: u64,
     ) -> Self {
-        Self::with_spoon(Dispenser::new(set, spoon, derive(seed, &[0])), balance, seed)
+        Self::with_spoon(Dispenser::new(set, spoon, bed_seed(seed)), balance, seed)
     }
+}
 
+/// The seed of the spoonful on a bench of this seed.
+pub fn bed_seed(seed: u64) -> u64 {
+    derive(seed, &[0])
+}
+
+impl<S: Filled> SimulatedBench<S> {
     /// A bench with this spoon.
-    pub fn with_spoon(spoon: Dispenser, balance: &balance::Settings, seed: u64) -> Self {
+    pub fn with_spoon(spoon: S, balance: &balance::Settings, seed: u64) -> Self {
         let read_at_mg = spoon.vial_mg();
         let noise = derive(seed, &[1]);
         Self {
@@ -57,8 +65,8 @@ impl SimulatedBench {
         self.spoon.spilled_mg()
     }
 
-    fn after(&mut self, poured: Poured) -> Result<(), DeviceError> {
-        self.elapsed_s += poured.duration_s;
+    fn carry_out(&mut self, motion: Motion) -> Result<(), DeviceError> {
+        self.elapsed_s += self.spoon.carry_out(motion);
         match self.spoon.fault() {
             Some(cause) => {
                 Err(DeviceError::Faulted { device: "the simulated spoon", cause: cause.to_owned() })
@@ -68,7 +76,7 @@ impl SimulatedBench {
     }
 }
 
-impl Bench for SimulatedBench {
+impl<S: Filled> Bench for SimulatedBench<S> {
     /// The spoon was filled when the bench was made, and stands over the vial.
     fn approach(&mut self) -> Result<(), DeviceError> {
         Ok(())
@@ -128,13 +136,11 @@ impl Bench for SimulatedBench {
     }
 
     fn act(&mut self, action: Action) -> Result<(), DeviceError> {
-        let poured = self.spoon.step(action);
-        self.after(poured)
+        self.carry_out(Motion::Act(action))
     }
 
     fn level(&mut self) -> Result<(), DeviceError> {
-        let poured = self.spoon.level();
-        self.after(poured)
+        self.carry_out(Motion::Level)
     }
 
     fn retract(&mut self) -> Result<(), DeviceError> {

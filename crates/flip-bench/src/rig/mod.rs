@@ -19,7 +19,7 @@ pub use inbox::{Awaited, Inbox};
 pub use poured::Poured;
 pub use pouring::{Pouring, Simulation, Task};
 pub use scale::{Order, Shown};
-pub use simulated::{Simulated, simulate};
+pub use simulated::{Simulated, simulate, simulate_from};
 pub use stand::{PileInMaking, PileStand, Piling, Unpiled};
 
 use crate::hardware::DeviceError;

@@ -1,5 +1,6 @@
 //! Jobs: long computations that are queued, watched, cancelled and resumed.
 
+use super::device::Device;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -53,7 +54,7 @@ pub struct Progress {
     pub message: String,
 }
 
-/// What a job is about.
+/// What a job is about, and what it computes on.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
     /// Ids of its powders, in the order of the request, each once.
@@ -65,6 +66,9 @@ pub struct Subject {
     /// The angle of repose that it aims at, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repose_deg: Option<f64>,
+    /// What it computes on; omitted for the processor.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
 }
 
 /// Share of the work that has to be done before its pace says how long the rest takes: the first

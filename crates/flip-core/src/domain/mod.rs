@@ -5,6 +5,7 @@ pub mod apparatus;
 pub mod bench;
 pub mod bench_check;
 pub mod conditions;
+pub mod device;
 pub mod job;
 pub mod labels;
 pub mod motion;

@@ -1,6 +1,6 @@
 //! One round of episodes, played with one snapshot of the policy: a batch of experiments.
 
-use super::environment::{Filling, Played, Spoon, play};
+use super::environment::{Filling, Played, Simulated, Spoon, play};
 use super::episodes::Episode;
 use super::plan::Planned;
 use super::record::Flow;
@@ -8,9 +8,12 @@ use super::replay::Memory;
 use super::settings::Settings;
 use super::spoons::Spoons;
 use flip_policy::{Actor, Carried, OUTPUTS};
+use flip_sim::batch::{Batch, Engine, Failed, Place, settled, side_by_side};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
+use std::ops::ControlFlow;
+use std::sync::{Mutex, PoisonError};
 
 /// The episodes of a round.
 pub struct Round<'a> {
@@ -22,15 +25,22 @@ pub struct Round<'a> {
     pub settings: &'a Settings,
 }
 
-/// Where the rounds of a training are played: on this machine's cores by [`Spoons`].
+/// Episodes that were played, in their order; none if a stop was requested before all were.
+pub type PlayedRound = Option<Vec<(Planned, Played)>>;
+
+/// Where the rounds of a training are played: on this machine's cores by [`Spoons`], on an engine by
+/// [`SideBySide`].
 pub trait Rounds {
     /// Plays a round; results are in order and depend on nothing else. None if `flow` requested a
     /// stop before all were played.
-    fn play(&self, round: Round<'_>, flow: &Flow<'_>) -> Option<Vec<(Planned, Played)>>;
+    ///
+    /// # Errors
+    /// What computes the spoons failed.
+    fn play(&self, round: Round<'_>, flow: &Flow<'_>) -> Result<PlayedRound, Failed>;
 }
 
 impl<F: Filling> Rounds for Spoons<F> {
-    fn play(&self, round: Round<'_>, flow: &Flow<'_>) -> Option<Vec<(Planned, Played)>> {
+    fn play(&self, round: Round<'_>, flow: &Flow<'_>) -> Result<PlayedRound, Failed> {
         let Round { planned, actor, settings } = round;
         let play = |mut plan: Planned| {
             if flow().is_break() {
@@ -45,7 +55,58 @@ impl<F: Filling> Rounds for Spoons<F> {
             };
             Some((plan, played))
         };
-        planned.into_par_iter().map(play).collect()
+        Ok(planned.into_par_iter().map(play).collect())
+    }
+}
+
+/// Plays the doses of a round side by side on one batch, each step of all of them at once. Those on the
+/// surrogate, and the settling of beds, are of this machine's cores.
+pub struct SideBySide {
+    spoons: Spoons<Simulated>,
+    batch: Mutex<Box<dyn Batch>>,
+}
+
+impl SideBySide {
+    /// Room on an engine for the rounds of these settings.
+    ///
+    /// # Errors
+    /// A device that fails, or has too little memory.
+    pub fn new(
+        engine: &dyn Engine,
+        spoons: Spoons<Simulated>,
+        settings: &Settings,
+    ) -> Result<Self, Failed> {
+        let places = engine.places().min(settings.episodes_per_round as usize);
+        Ok(Self { spoons, batch: Mutex::new(engine.batch(places)?) })
+    }
+}
+
+impl Rounds for SideBySide {
+    fn play(&self, round: Round<'_>, flow: &Flow<'_>) -> Result<PlayedRound, Failed> {
+        let Round { planned, actor, settings } = round;
+        if planned.iter().any(|plan| plan.index < settings.surrogate_episodes) {
+            return self.spoons.play(Round { planned, actor, settings }, flow);
+        }
+        let waiting: Vec<_> = planned.into_iter().map(|plan| Mutex::new(Some(plan))).collect();
+        let mut played: Vec<_> = waiting.iter().map(|_| None).collect();
+        let procedure = |k: usize, place: &mut Place| {
+            if flow().is_break() {
+                return None;
+            }
+            let mut plan = waiting[k].lock().unwrap_or_else(PoisonError::into_inner).take()?;
+            let bed = settled(|| plan.spoon(&self.spoons, settings));
+            // Why it cannot be filled is what the batch returns.
+            let seat = place.fill(&bed).ok()?;
+            let played = play_planned(&mut plan, seat, actor, settings);
+            Some((plan, played))
+        };
+        let mut each = |k: usize, given| {
+            played[k] = given;
+            ControlFlow::Continue(())
+        };
+        let mut batch = self.batch.lock().unwrap_or_else(PoisonError::into_inner);
+        side_by_side(&mut **batch, waiting.len(), procedure, &mut each)?;
+        Ok(played.into_iter().collect())
     }
 }
 

@@ -7,12 +7,13 @@ use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_policy::{Episode, ON_TARGET_MG, Observation, Rules};
 use flip_sim::balance;
+use flip_sim::batch::{Filled, Motion};
 use flip_sim::dispense::{self, Dispenser};
 
 /// A source of filled spoons. The simulator's is [`Simulated`]; tests use a formula.
 pub trait Filling: Sync {
     /// The type of a filled spoon.
-    type Spoon: Spoon;
+    type Spoon: Spoon + Clone + Send + Sync;
     /// Fills a spoon with this powder; expensive, so the result is kept and cloned.
     fn fill(&self, set: &ParameterSet, seed: u64) -> Self::Spoon;
     /// Like [`Self::fill`], under conditions whose effect on the powder's parameters is already in
@@ -33,7 +34,7 @@ impl<F: Filling> Filling for &F {
 }
 
 /// A filled spoon over a vial.
-pub trait Spoon: Clone + Send + Sync {
+pub trait Spoon {
     /// Carries out one action and waits until the powder rests.
     fn step(&mut self, action: Action);
     /// Current pitch, degrees.
@@ -66,15 +67,16 @@ impl Filling for Simulated {
     }
 }
 
-impl Spoon for Dispenser {
+/// The simulator's spoons, on a core and in a place of a batch.
+impl<S: Filled> Spoon for S {
     fn step(&mut self, action: Action) {
-        Dispenser::step(self, action);
+        self.carry_out(Motion::Act(action));
     }
     fn pitch_deg(&self) -> f64 {
-        Dispenser::pitch_deg(self)
+        Filled::pitch_deg(self)
     }
     fn vial_mg(&self) -> f64 {
-        Dispenser::vial_mg(self)
+        Filled::vial_mg(self)
     }
     fn has_failed(&self) -> bool {
         self.fault().is_some()

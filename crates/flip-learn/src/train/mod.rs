@@ -56,4 +56,4 @@ pub use settings::{
 };
 pub use surrogate::Surrogate;
 #[cfg(feature = "libtorch")]
-pub use training::{train, train_on};
+pub use training::{train, train_beside, train_on};

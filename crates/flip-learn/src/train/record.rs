@@ -103,6 +103,14 @@ pub enum TrainError {
         /// Episodes played.
         episodes: u32,
     },
+    /// What computes the simulated doses failed, such as a graphics card.
+    #[error("{cause}")]
+    Device {
+        /// What it said.
+        cause: String,
+        /// Checkpoint to resume from, on any device; none if nothing had begun.
+        checkpoint: Option<Vec<u8>>,
+    },
     /// Built without libtorch.
     #[error(
         "this build of FLIP does not train: it was built without the feature `learn`; train with one that has it, and carry the policy over"

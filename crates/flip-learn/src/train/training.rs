@@ -1,7 +1,7 @@
 //! The training loop.
 
 use super::checkpoint;
-use super::collect::{Round, Rounds, remembered};
+use super::collect::{Round, Rounds, SideBySide, remembered};
 use super::curriculum::Curriculum;
 use super::environment::{Filling, Played, simulated};
 use super::plan::{Planned, ordered, plan, stream};
@@ -15,6 +15,7 @@ use super::spoons::Spoons;
 use flip_core::domain::FieldError;
 use flip_core::domain::seed::derive;
 use flip_policy::{Actor, Controller, LevelManifest, Manifest, Policy, SetManifest, normal};
+use flip_sim::batch::{Engine, Failed};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
@@ -38,6 +39,31 @@ pub fn train(
     on_event: impl FnMut(Event) -> ControlFlow<()>,
 ) -> Result<Trained, TrainError> {
     train_on(&simulated(settings), levels, settings, start, flow, on_event)
+}
+
+/// [`train`] with the simulated doses of each round side by side on an engine. On one device and driver
+/// the same inputs give the same bytes; on [`flip_sim::batch::Cores`] they are those of [`train`].
+///
+/// # Errors
+/// [`TrainError`]; [`TrainError::Device`] if the engine fails.
+pub fn train_beside(
+    engine: &dyn Engine,
+    levels: &[Level],
+    settings: &Settings,
+    start: Start<'_>,
+    flow: &Flow<'_>,
+    on_event: impl FnMut(Event) -> ControlFlow<()>,
+) -> Result<Trained, TrainError> {
+    let spoons = Spoons::new(simulated(settings), derive(settings.seed, &[stream::SPOONS]));
+    let rounds = SideBySide::new(engine, spoons, settings);
+    // Without a batch nothing has begun: what there was to resume from still is.
+    let untouched = match start {
+        Start::Checkpoint(bytes) => Some(bytes.to_vec()),
+        Start::Nothing | Start::Policy(_) => None,
+    };
+    let rounds =
+        rounds.map_err(|Failed(cause)| TrainError::Device { cause, checkpoint: untouched })?;
+    learn(&rounds, levels, settings, start, flow, on_event)
 }
 
 /// The mutable state of a training, as stored in a checkpoint.
@@ -85,6 +111,19 @@ pub fn train_on<F: Filling>(
     settings: &Settings,
     start: Start<'_>,
     flow: &Flow<'_>,
+    on_event: impl FnMut(Event) -> ControlFlow<()>,
+) -> Result<Trained, TrainError> {
+    let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
+    learn(&spoons, levels, settings, start, flow, on_event)
+}
+
+/// A training whose rounds are played by `rounds`.
+fn learn(
+    rounds: &impl Rounds,
+    levels: &[Level],
+    settings: &Settings,
+    start: Start<'_>,
+    flow: &Flow<'_>,
     mut on_event: impl FnMut(Event) -> ControlFlow<()>,
 ) -> Result<Trained, TrainError> {
     let settings = &settings.clone().checked()?;
@@ -96,9 +135,8 @@ pub fn train_on<F: Filling>(
         Start::Nothing => State::new(levels, settings),
         Start::Policy(actor) => State::new(levels, settings).going_on_from(actor, settings)?,
     };
-    let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
     while state.progress.episodes < settings.episodes {
-        let Some(Rounded { kept, records }) = state.round(levels, settings, &spoons, flow)? else {
+        let Some(Rounded { kept, records }) = state.round(levels, settings, rounds, flow)? else {
             return Err(TrainError::Stopped {
                 checkpoint: checkpoint::encode(&state, levels, settings),
             });
@@ -192,7 +230,11 @@ impl State {
         };
         let kept = KEPT.into_iter().filter(is_kept).map(network).collect();
         let round = Round { planned, actor: learns.then_some(&actor), settings };
-        let Some(played) = rounds.play(round, flow) else {
+        let played = rounds.play(round, flow).map_err(|Failed(cause)| TrainError::Device {
+            cause,
+            checkpoint: Some(checkpoint::encode(self, levels, settings)),
+        })?;
+        let Some(played) = played else {
             return Ok(None);
         };
         for (plan, played) in &played {

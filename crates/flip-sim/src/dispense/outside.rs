@@ -5,6 +5,7 @@
 //! carries out the [`Plan`] of each action substep by substep, and hands the grains that left back
 //! to [`Spoon::landed`].
 
+use super::super::batch::Motion;
 use super::super::grains::Departure;
 use super::super::law::Law;
 use super::super::snapshot::Snapshot;
@@ -12,7 +13,6 @@ use super::super::walls::Shape;
 use super::motion::{self, Pose};
 use super::{Dispenser, REST_M_S, REST_S, SLICE, Settings};
 use crate::constraints::{Contact, vector};
-use flip_core::domain::bench::Action;
 
 /// Strengths of one kind of contact; shares are of one substep and one side.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -148,13 +148,19 @@ pub struct Departed {
 }
 
 impl Spoon {
-    /// Takes an action apart for a spoon at this pitch, as [`Dispenser::step`] carries it out.
-    pub fn plan(&self, pitch_deg: f64, action: Action) -> Plan {
+    /// Takes a motion apart for a spoon at this pitch, as [`Dispenser::step`] and
+    /// [`Dispenser::level`] carry it out.
+    pub fn plan(&self, pitch_deg: f64, motion: impl Into<Motion>) -> Plan {
         let limits = self.settings.pitch;
-        let to_deg =
-            (pitch_deg + action.incline_change_deg).clamp(limits.lower_deg, limits.upper_deg);
-        let shake_mm = action.executed_shake_mm();
-        let strokes = if shake_mm > 0.0 { action.strokes } else { 0 };
+        let (to_deg, shake_mm, strokes) = match motion.into() {
+            Motion::Level => (0.0, 0.0, 0),
+            Motion::Act(action) => {
+                let to_deg = pitch_deg + action.incline_change_deg;
+                let to_deg = to_deg.clamp(limits.lower_deg, limits.upper_deg);
+                (to_deg, action.executed_shake_mm(), action.strokes)
+            }
+        };
+        let strokes = if shake_mm > 0.0 { strokes } else { 0 };
         let mut kinds = Vec::new();
         if to_deg != pitch_deg {
             kinds.push((Kind::Incline { from_deg: pitch_deg, to_deg }, strokes == 0));
@@ -289,6 +295,7 @@ impl Dispenser {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use flip_core::domain::bench::Action;
     use flip_core::domain::parameters::ParameterSet;
 
     #[test]
@@ -299,13 +306,17 @@ mod tests {
         let mut driven = stepped.clone();
         let spoon = driven.spoon().expect("no mechanisms");
         let mut pitch_deg = 0.0;
-        for action in [
-            Action::once(8.0, 0.0),
-            Action::once(8.0, 9.0),
-            Action { strokes: 2, ..Action::once(8.0, 12.0) },
+        for motion in [
+            Motion::Act(Action::once(8.0, 0.0)),
+            Motion::Act(Action::once(8.0, 9.0)),
+            Motion::Act(Action { strokes: 2, ..Action::once(8.0, 12.0) }),
+            Motion::Level,
         ] {
-            let poured = stepped.step(action);
-            let plan = spoon.plan(pitch_deg, action);
+            let poured = match motion {
+                Motion::Act(action) => stepped.step(action),
+                Motion::Level => stepped.level(),
+            };
+            let plan = spoon.plan(pitch_deg, motion);
             pitch_deg = plan.pitch_deg;
             let mut departed = Vec::new();
             let mut duration_s = 0.0;

@@ -3,6 +3,7 @@
 use super::{Claim, Claimed, DEATHS_MAX, FAILURES_MAX};
 use crate::jobs::Job;
 use crate::{Error, Result, Store, testing};
+use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState, Progress, Subject};
 use flip_core::domain::labels::Labels;
 use flip_core::domain::timestamp::Timestamp;
@@ -248,10 +249,62 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
     sqlx::query(foreign).bind(vec![8; 32]).execute(ledger.store.writer().unwrap()).await.unwrap();
     let next = async |seconds| -> Vec<String> {
         let claimable = ledger.store.claimable(at(seconds)).await.unwrap();
-        claimable.into_iter().map(|(_, job)| job).collect()
+        claimable.into_iter().map(|it| it.job).collect()
     };
     assert_eq!(next(0).await, ["job", "training"]);
+    // A job for a card holds up no other of its kind, and neither does one for an unknown device.
+    for (id, device) in [("on a card", "cuda"), ("elsewhere", "abacus")] {
+        let older = "INSERT INTO job (seq, id, kind, spec, spec_sha256, state, created_at, subject) \
+                     VALUES ($1, $2, 'calibration', '{}', $3, 'queued', 0, $4)";
+        let subject = format!("{{\"powders\":[],\"device\":\"{device}\"}}");
+        let older = sqlx::query(older).bind(-2 - i64::from(device != "cuda")).bind(id);
+        let older = older.bind(vec![id.as_bytes()[0]; 32]).bind(subject);
+        older.execute(ledger.store.writer().unwrap()).await.unwrap();
+    }
+    let claimable = ledger.store.claimable(at(0)).await.unwrap();
+    let found: Vec<_> = claimable.iter().map(|it| (it.job.as_str(), it.device)).collect();
+    let expected = [("on a card", Device::Cuda), ("job", Device::Cpu), ("training", Device::Cpu)];
+    assert_eq!(found, expected);
+    let gone = "DELETE FROM job WHERE seq < -1";
+    sqlx::query(gone).execute(ledger.store.writer().unwrap()).await.unwrap();
     ledger.granted("worker", 0).await;
     assert_eq!(next(LEASE).await, ["calibration 2", "training"]);
     assert_eq!(next(LEASE + 1).await, ["job", "training"]);
+}
+
+#[tokio::test]
+async fn a_job_whose_device_failed_keeps_its_checkpoint_from_which_another_begins() {
+    let ledger = Ledger::new().await;
+    let lease = ledger.granted("worker", 0).await.lease;
+    let sha256 = "a".repeat(64);
+    ledger.write(async |tx| tx.set_checkpoint(&lease, &sha256).await).await.unwrap();
+    ledger
+        .write(async |tx| tx.fail_keeping_checkpoint(&lease, "the card was taken", at(1)).await)
+        .await
+        .unwrap();
+    let job = ledger.job().await;
+    assert_eq!((job.state, job.error.as_deref()), (JobState::Failed, Some("the card was taken")));
+    let kept = ledger.store.checkpoint_of("job").await.unwrap();
+    assert_eq!(kept.as_ref(), Some(&sha256));
+    // Nobody goes on with the failed one, and its old worker writes nothing more.
+    assert_eq!(ledger.claim("next", 99).await, Claim::Ended);
+    let late = ledger.write(async |tx| tx.set_checkpoint(&lease, &"b".repeat(64)).await).await;
+    assert!(matches!(late, Err(Error::Fenced)), "{late:?}");
+    let claim = ledger
+        .write(async |tx| {
+            let subject = Subject::default();
+            let of = (Some("job"), &Labels::default());
+            tx.insert_job("other", JobKind::Training, ("{}", &[9; 32]), &subject, of, at(2))
+                .await?;
+            tx.begin_from("other", &sha256).await?;
+            tx.claim("other", "next", at(3), at(33)).await
+        })
+        .await
+        .unwrap();
+    let Claim::Granted(claimed) = claim else { panic!("{claim:?}") };
+    assert_eq!(claimed.checkpoint, Some(sha256));
+    // Without a checkpoint there is none to keep.
+    let lease = claimed.lease;
+    ledger.write(async |tx| tx.end(&lease, JobState::Failed, None, at(4)).await).await.unwrap();
+    assert_eq!(ledger.store.checkpoint_of("other").await.unwrap(), None);
 }

@@ -174,6 +174,7 @@ async fn a_worker_that_helps_is_listed_with_the_job_and_one_that_is_busy_is_no_h
         kinds: KINDS.to_vec(),
         threads: 4,
         serves: false,
+        card: None,
         started_at: at(0),
         heard_at: at(1),
         ended_at: None,

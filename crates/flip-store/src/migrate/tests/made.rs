@@ -91,6 +91,7 @@ pub(super) async fn work(store: &Store) -> String {
         kinds: vec![JobKind::Calibration],
         threads: 4,
         serves: false,
+        card: Some("a card".to_owned()),
         started_at: at(900),
         heard_at: at(901),
         ended_at: None,

@@ -1,0 +1,131 @@
+//! A training whose doses are simulated side by side on an engine.
+#![cfg(feature = "libtorch")]
+
+use flip_core::domain::parameters::ParameterSet;
+use flip_learn::train::{
+    Event, Level, Order, Preset, Settings, Start, TrainError, Trained, train, train_beside,
+};
+use flip_sim::batch::{Batch, Cores, Engine, Failed, Motion, Stand};
+use flip_sim::dispense::{self, Dispenser};
+use std::ops::ControlFlow;
+
+fn levels() -> Vec<Level> {
+    let set = |friction| ParameterSet::default().with("friction", friction).unwrap();
+    let level = |powder: &str, repose_deg, frictions: [f64; 2]| Level {
+        powder: powder.into(),
+        repose_deg,
+        sets: frictions.map(set).to_vec(),
+    };
+    vec![level("sand", 28.6, [0.3, 0.35]), level("salt", 36.0, [0.65, 0.7])]
+}
+
+/// A few doses of 4 mg spoons, the first on the surrogate.
+fn small() -> Settings {
+    let spoon = dispense::Settings {
+        particles: 250,
+        semi_axes_mm: [2.4, 1.7, 1.0],
+        ..dispense::Settings::default()
+    };
+    Settings {
+        episodes: 14,
+        surrogate_episodes: 5,
+        episodes_per_round: 3,
+        warmup_episodes: 4,
+        rounds_per_checkpoint: 1,
+        hidden: 8,
+        batch: 8,
+        updates_per_step: 0.5,
+        target_mg_min: 1.0,
+        target_mg_max: 3.0,
+        relabel_mg_min: 0.5,
+        spoon,
+        ..Settings::of(Preset::Flip, Order::Curriculum, 3)
+    }
+}
+
+const GO_ON: fn() -> ControlFlow<()> = || ControlFlow::Continue(());
+
+/// The cores with so many places, which break at a step of the training if they are told to.
+struct Places(usize, Option<usize>);
+
+struct Breaking(Box<dyn Batch>, Option<usize>);
+
+impl Engine for Places {
+    fn name(&self) -> String {
+        "the cores".to_owned()
+    }
+    fn places(&self) -> usize {
+        self.0
+    }
+    fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
+        Ok(Box::new(Breaking(Cores.batch(places)?, self.1)))
+    }
+}
+
+impl Batch for Breaking {
+    fn places(&self) -> usize {
+        self.0.places()
+    }
+    fn fill(&mut self, beds: &[(usize, &Dispenser)]) -> Result<(), Failed> {
+        self.0.fill(beds)
+    }
+    fn step(&mut self, motions: &[(usize, Motion)]) -> Result<Vec<Stand>, Failed> {
+        if let Some(left) = &mut self.1 {
+            *left = left.saturating_sub(1);
+            if *left == 0 {
+                return Err(Failed("it broke".to_owned()));
+            }
+        }
+        self.0.step(motions)
+    }
+}
+
+fn on(engine: &dyn Engine, start: Start<'_>) -> Result<(Trained, Vec<Vec<u8>>), TrainError> {
+    let mut checkpoints = Vec::new();
+    let trained = train_beside(engine, &levels(), &small(), start, &GO_ON, |event| {
+        if let Event::Checkpoint(bytes) = event {
+            checkpoints.push(bytes);
+        }
+        ControlFlow::Continue(())
+    })?;
+    Ok((trained, checkpoints))
+}
+
+#[test]
+fn a_training_beside_an_engine_of_cores_is_the_training_in_every_bit_and_resumes_on_either() {
+    let alone = train(&levels(), &small(), Start::Nothing, &GO_ON, |_| ControlFlow::Continue(()));
+    let alone = alone.unwrap();
+    for places in [1, 2, 64] {
+        assert_eq!(on(&Places(places, None), Start::Nothing).unwrap().0, alone, "{places} places");
+    }
+    let (_, checkpoints) = on(&Places(4, None), Start::Nothing).unwrap();
+    for checkpoint in &checkpoints {
+        let start = Start::Checkpoint(checkpoint);
+        assert_eq!(on(&Places(2, None), start).unwrap().0, alone);
+        let on_cores =
+            train(&levels(), &small(), start, &GO_ON, |_| ControlFlow::Continue(())).unwrap();
+        assert_eq!(on_cores, alone);
+    }
+}
+
+#[test]
+fn an_engine_that_breaks_leaves_a_checkpoint_from_which_the_cores_go_on_to_the_same_policy() {
+    let (whole, _) = on(&Places(3, None), Start::Nothing).unwrap();
+    for steps in [1, 9] {
+        let broken = on(&Places(3, Some(steps)), Start::Nothing);
+        let Err(TrainError::Device { cause, checkpoint }) = broken else { panic!("{broken:?}") };
+        assert_eq!(cause, "it broke");
+        let start = checkpoint.as_deref().map(Start::Checkpoint).expect("rounds were played");
+        let resumed = train(&levels(), &small(), start, &GO_ON, |_| ControlFlow::Continue(()));
+        assert_eq!(resumed.unwrap(), whole);
+    }
+    let stopped = train_beside(
+        &Places(3, None),
+        &levels(),
+        &small(),
+        Start::Nothing,
+        &|| ControlFlow::Break(()),
+        |_| ControlFlow::Continue(()),
+    );
+    assert!(matches!(stopped, Err(TrainError::Stopped { .. })), "{stopped:?}");
+}

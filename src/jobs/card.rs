@@ -1,0 +1,204 @@
+//! Doses on a graphics card, many side by side, and what can be asked of one.
+//!
+//! The loop of a weighing is the same as everywhere: each dose runs it on a thread of its own, on a spoon
+//! in a place of a batch.
+
+use super::Functions;
+use super::evaluate::dose_of;
+use super::host::{self, JobError};
+use super::runner::{DoseExperiment, Each, Run, Runner};
+use flip_bench::rig::simulate_from;
+use flip_bench::weigh::Event;
+use flip_core::domain::FieldError;
+use flip_core::domain::conditions::Patch;
+use flip_core::domain::device::Device;
+use flip_cuda::{Card, GRAINS_MAX};
+use flip_learn::train::evaluate::Dose;
+use flip_sim::batch::{Engine, Failed, Place, settled, side_by_side};
+use flip_sim::dispense::{self, Dispenser};
+use flip_sim::mechanisms::Extensions;
+use std::collections::{BTreeSet, HashMap};
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Instant;
+
+/// The graphics card of this process.
+pub trait Cards: Send + Sync {
+    /// What it is, or why there is none that can be used, in words that end with what to do. Takes no
+    /// memory of the card.
+    fn found(&self) -> Result<String, String>;
+
+    /// Opens it, which takes a second.
+    ///
+    /// # Errors
+    /// As [`Cards::found`].
+    fn open(&self) -> Result<Arc<dyn Engine>, String>;
+}
+
+/// The first card that the driver shows this process (`CUDA_VISIBLE_DEVICES` chooses another).
+#[derive(Debug, Default)]
+pub struct FirstCard(OnceLock<Result<String, String>>);
+
+impl Cards for FirstCard {
+    fn found(&self) -> Result<String, String> {
+        let look = || flip_cuda::find(0).map(|it| it.to_string()).map_err(|it| it.to_string());
+        self.0.get_or_init(look).clone()
+    }
+
+    fn open(&self) -> Result<Arc<dyn Engine>, String> {
+        let card = Card::open(0).map_err(|error| error.to_string())?;
+        Ok(Arc::new(card))
+    }
+}
+
+/// What [`Cards::found`] says, without keeping this thread waiting: a driver that begins may take a while.
+pub(super) async fn found(functions: &Functions) -> Result<String, String> {
+    let cards = functions.card.clone();
+    tokio::task::spawn_blocking(move || cards.found())
+        .await
+        .unwrap_or_else(|error| Err(format!("the card was not looked for ({error})")))
+}
+
+/// Whether a device can compute spoons of these settings, whose powders are changed by these patches.
+///
+/// # Errors
+/// `device`, and each mechanism or number that is in the way.
+pub fn can_compute<'a>(
+    device: Device,
+    spoon: &dispense::Settings,
+    patches: impl Iterator<Item = &'a Patch>,
+) -> Result<(), FieldError> {
+    if device.is_cpu() {
+        return Ok(());
+    }
+    let mut mechanisms = named(spoon.extensions);
+    mechanisms.extend(
+        patches
+            .flat_map(|patch| &patch.amplitudes)
+            .filter(|(_, amplitude)| **amplitude != 0.0)
+            .map(|(name, _)| name.clone()),
+    );
+    let refuse = |why: String| {
+        let advice =
+            format!("`cuda` cannot compute {why}: leave the field out to compute on the CPU");
+        Err(FieldError::new("device", advice))
+    };
+    if !mechanisms.is_empty() {
+        let names: Vec<String> = mechanisms.into_iter().map(|name| format!("`{name}`")).collect();
+        return refuse(format!("the mechanisms {}", names.join(", ")));
+    }
+    let grains = spoon.particles as usize;
+    match grains <= GRAINS_MAX {
+        true => Ok(()),
+        false => refuse(format!("{grains} grains on a spoon, at most {GRAINS_MAX}")),
+    }
+}
+
+fn named(mut extensions: Extensions) -> BTreeSet<String> {
+    let all = extensions.amplitudes().into_iter();
+    all.filter(|(_, amplitude, _)| **amplitude != 0.0).map(|(name, ..)| name.to_owned()).collect()
+}
+
+/// The engine of a job on this device; none for the processor, which the job's functions compute on.
+pub(super) fn engine_of(
+    cards: &dyn Cards,
+    device: Device,
+) -> host::Result<Option<Arc<dyn Engine>>> {
+    match device {
+        Device::Cpu => Ok(None),
+        Device::Cuda => cards.open().map(Some).map_err(JobError::Device),
+    }
+}
+
+/// Weighs doses side by side on an engine.
+pub struct SideBySide(pub Arc<dyn Engine>);
+
+impl Runner<DoseExperiment, Result<Dose, String>> for SideBySide {
+    fn run(&self, experiments: &[DoseExperiment], each: &mut Each<'_, Result<Dose, String>>) {
+        // Doses from one bed follow each other, so that it is filled once and need not be kept.
+        let beds = Beds::of(experiments);
+        let procedure = |n: usize, place: &mut Place| {
+            let (begun, experiment) = (Instant::now(), &experiments[beds.order[n]]);
+            let bed = beds.take(n, experiment);
+            let outcome = match place.fill(&bed) {
+                Err(Failed(why)) => Err(why),
+                Ok(seat) => {
+                    let mut go_on = |_: &Event<'_>| ControlFlow::Continue(());
+                    let stop = AtomicBool::new(false);
+                    let DoseExperiment { task, simulation } = experiment;
+                    dose_of(simulate_from(seat, task, simulation, &mut go_on, &stop))
+                }
+            };
+            Run { outcome, seconds: begun.elapsed().as_secs_f64() }
+        };
+        let heard = AtomicBool::new(false);
+        let mut each = |n: usize, run| {
+            heard.store(true, Ordering::SeqCst);
+            each(beds.order[n], run)
+        };
+        let ran = self.0.batch(self.0.places().min(experiments.len())).and_then(|mut batch| {
+            side_by_side(&mut *batch, experiments.len(), procedure, &mut each)
+        });
+        // A dose under way was told so; without one, the first is.
+        if let Err(Failed(why)) = ran
+            && !heard.load(Ordering::SeqCst)
+        {
+            let _ = each(0, Run { outcome: Err(why), seconds: 0.0 });
+        }
+    }
+}
+
+/// The beds of some doses, each settled once and kept while doses from it are left.
+struct Beds {
+    /// Places of the doses, those of one bed next to each other.
+    order: Vec<usize>,
+    /// The bed of each, in that order.
+    of: Vec<usize>,
+    kept: Vec<Mutex<Kept>>,
+}
+
+#[derive(Default)]
+struct Kept {
+    bed: Arc<OnceLock<Arc<Dispenser>>>,
+    /// Doses that have not taken it yet.
+    left: usize,
+}
+
+impl Beds {
+    fn of(experiments: &[DoseExperiment]) -> Self {
+        let mut known = HashMap::new();
+        let number = |of: &DoseExperiment| {
+            let settings = (&of.simulation.spoon, of.task.rules.pitch);
+            let settings = serde_json::to_string(&settings).expect("plain data");
+            let key = (of.simulation.set.id(), settings, of.simulation.seed);
+            let next = known.len();
+            *known.entry(key).or_insert(next)
+        };
+        let beds: Vec<usize> = experiments.iter().map(number).collect();
+        let mut order: Vec<usize> = (0..experiments.len()).collect();
+        order.sort_by_key(|place| beds[*place]);
+        let mut kept: Vec<Kept> = known.iter().map(|_| Kept::default()).collect();
+        beds.iter().for_each(|bed| kept[*bed].left += 1);
+        let of = order.iter().map(|place| beds[*place]).collect();
+        Self { order, of, kept: kept.into_iter().map(Mutex::new).collect() }
+    }
+
+    /// The bed of the `n`th dose in order.
+    fn take(&self, n: usize, experiment: &DoseExperiment) -> Arc<Dispenser> {
+        let kept = || self.kept[self.of[n]].lock().unwrap_or_else(PoisonError::into_inner);
+        let bed = kept().bed.clone();
+        let fill = || settled(|| experiment.simulation.filled(&experiment.task.rules));
+        let taken = bed.get_or_init(fill).clone();
+        let mut kept = kept();
+        kept.left -= 1;
+        if kept.left == 0 {
+            kept.bed = Arc::default();
+        }
+        taken
+    }
+}
+
+#[cfg(test)]
+#[path = "card_tests.rs"]
+mod tests;

@@ -1,0 +1,186 @@
+use super::*;
+use crate::jobs::evaluate::simulated;
+use flip_bench::rig::{Simulation, Task};
+use flip_bench::weigh::{Accuracy, Order};
+use flip_core::domain::parameters::ParameterSet;
+use flip_policy::{Controller, Paced, Rules, ScheduledStep};
+use flip_sim::balance;
+use flip_sim::batch::{Batch, Cores, Motion, Stand};
+
+/// Small spoons of 4 mg, poured by two controllers from three beds each.
+fn experiments() -> Vec<DoseExperiment> {
+    let spoon = dispense::Settings {
+        particles: 300,
+        semi_axes_mm: [2.4, 1.7, 1.0],
+        ..dispense::Settings::default()
+    };
+    let task = |controller| {
+        let order = Order {
+            target_mg: 2.0,
+            tolerance_lower_mg: 0.0,
+            tolerance_upper_mg: 0.0,
+            readability_mg: 0.1,
+        };
+        Arc::new(Task { order, accuracy: Accuracy::default(), controller, rules: Rules::FLIP })
+    };
+    let tasks =
+        [task(Controller::Fixed(ScheduledStep::FIXED)), task(Controller::Paced(Paced::CHOSEN))];
+    let dose = |(task, seed): (&Arc<Task>, u64)| DoseExperiment {
+        task: task.clone(),
+        simulation: Simulation {
+            set: ParameterSet::default(),
+            spoon,
+            balance: balance::Settings { readability_mg: 0.1, ..balance::Settings::default() },
+            seed,
+        },
+    };
+    tasks.iter().flat_map(|task| [1, 2, 3].map(|seed| (task, seed))).map(dose).collect()
+}
+
+/// The cores, so many places at once.
+struct Few(usize);
+
+impl Engine for Few {
+    fn name(&self) -> String {
+        "few".to_owned()
+    }
+    fn places(&self) -> usize {
+        self.0
+    }
+    fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
+        assert!(places <= self.0, "{places} places");
+        Cores.batch(places)
+    }
+}
+
+#[test]
+fn doses_side_by_side_on_the_cores_are_those_of_one_after_the_other_in_every_bit() {
+    let experiments = experiments();
+    let alone: Vec<_> =
+        experiments.iter().map(|of| simulated(&of.task, &of.simulation).unwrap()).collect();
+    let masses: BTreeSet<u64> = alone.iter().map(|dose| dose.dispensed_mg.to_bits()).collect();
+    assert!(masses.len() > 3, "doses differ: {alone:?}");
+    for places in [1, 4, 50] {
+        let runs = SideBySide(Arc::new(Few(places))).run_all(&experiments);
+        let found: Vec<Dose> = runs.into_iter().map(|run| run.outcome.unwrap()).collect();
+        assert_eq!(found, alone, "{places} places");
+    }
+    assert!(SideBySide(Arc::new(Few(3))).run_all(&[]).is_empty());
+}
+
+#[test]
+fn doses_of_one_bed_follow_each_other_and_the_bed_is_kept_no_longer() {
+    let experiments = experiments();
+    let beds = Beds::of(&experiments);
+    assert_eq!(beds.order, [0, 3, 1, 4, 2, 5]);
+    assert_eq!(beds.of, [0, 0, 1, 1, 2, 2]);
+    let first = beds.take(0, &experiments[0]);
+    assert!(Arc::ptr_eq(&first, &beds.take(1, &experiments[3])), "it was filled once");
+    drop(first);
+    assert!(beds.kept[0].lock().unwrap().bed.get().is_none());
+    // Another spoon, another powder or another range of the pitch is another bed.
+    let mut others = vec![experiments[0].clone(); 4];
+    others[1].simulation.spoon.particles = 301;
+    others[2].simulation.set = ParameterSet::default().with("friction", 0.7).unwrap();
+    let mut rules = Rules::FLIP;
+    rules.pitch.upper_deg -= 1.0;
+    others[3].task = Arc::new(Task { rules, ..(*others[3].task).clone() });
+    assert_eq!(Beds::of(&others).of, [0, 1, 2, 3]);
+}
+
+/// Cores that break at a step.
+struct Breaks(usize);
+
+struct Breaking(Box<dyn Batch>, usize);
+
+impl Engine for Breaks {
+    fn name(&self) -> String {
+        "it breaks".to_owned()
+    }
+    fn places(&self) -> usize {
+        2
+    }
+    fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
+        match self.0 {
+            0 => Err(Failed("the card failed: no memory".to_owned())),
+            steps => Ok(Box::new(Breaking(Cores.batch(places)?, steps))),
+        }
+    }
+}
+
+impl Batch for Breaking {
+    fn places(&self) -> usize {
+        self.0.places()
+    }
+    fn fill(&mut self, beds: &[(usize, &Dispenser)]) -> Result<(), Failed> {
+        self.0.fill(beds)
+    }
+    fn step(&mut self, motions: &[(usize, Motion)]) -> Result<Vec<Stand>, Failed> {
+        self.1 -= 1;
+        match self.1 {
+            0 => Err(Failed("the card failed: it was taken away".to_owned())),
+            _ => self.0.step(motions),
+        }
+    }
+}
+
+#[test]
+fn a_card_that_breaks_says_so_whenever_it_does_and_ends_the_doses() {
+    let experiments = experiments();
+    for (steps, said) in [(0, "no memory"), (1, "taken away"), (8, "taken away")] {
+        let (mut given, mut failed) = (0, Vec::new());
+        SideBySide(Arc::new(Breaks(steps))).run(&experiments, &mut |_, run| {
+            match run.outcome {
+                Ok(_) => given += 1,
+                Err(why) => failed.push(why),
+            }
+            ControlFlow::Continue(())
+        });
+        assert!((1..=2).contains(&failed.len()) && given < experiments.len(), "{failed:?}");
+        assert!(failed.iter().all(|why| why.contains(said)), "{steps} steps: {failed:?}");
+    }
+}
+
+#[test]
+fn what_a_card_lacks_is_refused_by_its_name_and_what_it_has_is_not() {
+    let usual = dispense::Settings::default();
+    let patch = |amplitudes: &[(&str, f64)]| Patch {
+        amplitudes: amplitudes.iter().map(|(name, a)| ((*name).to_owned(), *a)).collect(),
+        ..Patch::default()
+    };
+    let on = |device, spoon: &dispense::Settings, patches: &[Patch]| {
+        can_compute(device, spoon, patches.iter())
+    };
+    let check = |spoon: &dispense::Settings, patches: &[Patch]| on(Device::Cuda, spoon, patches);
+    assert_eq!(check(&usual, &[]), Ok(()));
+    let drier = Patch { parameters: [("cohesion".to_owned(), -0.1)].into(), ..Patch::default() };
+    assert_eq!(check(&usual, &[drier, patch(&[("humidity", 0.0)])]), Ok(()));
+    let extensions = Extensions { rotation: 1.0, ..Extensions::default() };
+    let refused =
+        check(&dispense::Settings { extensions, ..usual }, &[patch(&[("humidity", 0.4)])]);
+    let refused = refused.unwrap_err();
+    assert_eq!(refused.field, "device");
+    assert!(refused.message.contains("`humidity`, `rotation`"), "{}", refused.message);
+    let wet = dispense::Settings { extensions, particles: 4000, ..usual };
+    assert_eq!(on(Device::Cpu, &wet, &[patch(&[("humidity", 0.4)])]), Ok(()));
+    let many = dispense::Settings { particles: 4000, ..usual };
+    let refused = check(&many, &[]).unwrap_err();
+    assert!(
+        refused.message.contains("4000 grains") && refused.message.contains("2560"),
+        "{}",
+        refused.message
+    );
+}
+
+#[test]
+fn the_first_card_is_looked_for_once_and_opened_or_refused_in_words() {
+    let card = FirstCard::default();
+    match card.found() {
+        Ok(name) => println!("skipped: there is {name}"),
+        Err(why) => {
+            assert!(why.ends_with("use the CPU"), "{why}");
+            assert_eq!(card.open().err(), Some(why.clone()));
+            assert_eq!(card.found(), Err(why));
+        }
+    }
+}
