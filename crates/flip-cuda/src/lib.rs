@@ -14,6 +14,11 @@
 //! later two such runs differ like two seeds; their statistics are compared by the program
 //! `gpu_report`.
 //!
+//! # Learners
+//!
+//! [`Learners`] makes updates of Soft Actor-Critic, of many trainings in one launch. Its results are
+//! those of `flip-learn` on a processor in every bit.
+//!
 //! # The twin
 //!
 //! The same source compiles for a processor (`cuda/twin.cpp`). The tests step it beside
@@ -29,6 +34,7 @@ mod card;
 #[cfg(test)]
 mod card_tests;
 mod layout;
+mod learner;
 mod orders;
 mod spoons;
 #[cfg(test)]
@@ -37,6 +43,7 @@ mod twin;
 
 pub use bed::{Bed, Refused};
 pub use card::{Card, CardError};
+pub use learner::{Drawn, Learned, Learners, Losses, Shape};
 pub use spoons::{Poured, Spoons};
 
 /// Result of something asked from a card.
