@@ -1,9 +1,9 @@
-//! Updates per second of the learner on one thread, compared with Stable-Baselines3: `make
-//! bench-learner`.
+//! Updates per second of the learner on one thread, by libtorch and by our own gradients, beside
+//! Stable-Baselines3 and JAX: `make bench-learner`.
 //!
 //! `cargo bench --bench learner [-- --json]`. An update draws its batch from the replay memory and
-//! steps critics, actor, temperature and targets. Both take turns window by window and are timed in
-//! processor time, so other load on the machine affects both; one that `benches/learner/run.sh
+//! steps critics, actor, temperature and targets. All take turns window by window and are timed in
+//! processor time, so other load on the machine affects all; one that `benches/learner/run.sh
 //! setup` has not installed is left out, with the reason. The recurrent networks are those of the
 //! `paper` preset, whose batch consists of whole episodes of 10 steps; they have no peer.
 
@@ -14,7 +14,7 @@ use flip_learn::train::episodes::Episode;
 use flip_learn::train::formula::Formula;
 use flip_learn::train::replay::{Memory, Replay};
 use flip_learn::train::sac::Learner;
-use flip_learn::train::{Network, Order, Preset, Replayed, Settings};
+use flip_learn::train::{Gradients, Network, Order, Preset, Replayed, Settings};
 use flip_policy::{OUTPUTS, Rules, normal};
 use flip_sim::balance;
 use rand::{RngExt, SeedableRng};
@@ -25,7 +25,9 @@ use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 /// Units in each of the two hidden layers, and transitions in a batch.
-const CASES: [(u32, u32); 4] = [(64, 16), (64, 256), (256, 16), (256, 256)];
+const CASES: [(u32, u32); 5] = [(64, 16), (64, 256), (128, 256), (256, 16), (256, 256)];
+/// Words of `run.sh` for the peers, and their names in the document.
+const PEERS: [(&str, &str); 2] = [("one", "stable_baselines3"), ("jax", "jax")];
 const WINDOWS: usize = 9;
 /// Updates in a window.
 const UPDATES: u32 = 100;
@@ -92,7 +94,7 @@ impl Ours {
     }
 }
 
-/// Stable-Baselines3 in a separate process, with a line-based request and reply protocol.
+/// A peer in a separate process, with a line-based request and reply protocol.
 struct Peer {
     process: Child,
     ask: ChildStdin,
@@ -102,10 +104,10 @@ struct Peer {
 
 impl Peer {
     /// The peer, if it is installed: its stderr reports what is missing.
-    fn start() -> Option<Self> {
+    fn start(word: &str) -> Option<Self> {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/learner/run.sh");
         let mut command = Command::new("bash");
-        command.args([script, "one"]).stdin(Stdio::piped()).stdout(Stdio::piped());
+        command.args([script, word]).stdin(Stdio::piped()).stdout(Stdio::piped());
         // It comes with its own libtorch.
         let mut process = command.env_remove("LD_LIBRARY_PATH").spawn().ok()?;
         let (ask, answers) = (process.stdin.take()?, BufReader::new(process.stdout.take()?));
@@ -145,76 +147,105 @@ fn rates(costs_s: &[f64]) -> Value {
 
 fn main() {
     let as_json = std::env::args().any(|argument| argument == "--json");
-    let mut peer = Peer::start();
+    let mut peers = PEERS.map(|(word, _)| Peer::start(word));
+    let versions = peers.each_ref().map(|peer| peer.as_ref().map(|peer| peer.version.clone()));
     let mut cases = Vec::new();
     for (hidden, batch) in CASES {
-        let mut ours = Ours::new(Settings {
-            hidden,
-            batch,
-            ..Settings::of(Preset::Flip, Order::Curriculum, 1)
-        });
-        let inputs = ours.settings.encoding.width();
-        // The peer builds its learner at the first request: that window is warm-up, not measured.
-        peer = peer.and_then(|mut peer| peer.window((hidden, batch), inputs, 1).map(|_| peer));
-        let (mut own, mut theirs) = (Vec::new(), Vec::new());
-        for _ in 0..WINDOWS {
-            own.push(ours.window(UPDATES));
-            theirs.extend(
-                peer.as_mut().and_then(|peer| peer.window((hidden, batch), inputs, UPDATES)),
-            );
+        let settings =
+            Settings { hidden, batch, ..Settings::of(Preset::Flip, Order::Curriculum, 1) };
+        let inputs = settings.encoding.width();
+        // A peer builds its learner at the first request: that window is warm-up, not measured. JAX
+        // compiles for a number of updates.
+        for peer in &mut peers {
+            let warm = |peer: &mut Peer| peer.window((hidden, batch), inputs, UPDATES);
+            if peer.as_mut().and_then(warm).is_none() {
+                *peer = None;
+            }
         }
-        let (flip, sb3) = (rates(&own), rates(&theirs));
-        let ratio =
-            sb3["median"].as_f64().and_then(|theirs| Some(flip["median"].as_f64()? / theirs));
-        let network = format!("{hidden} units");
-        cases.push(
-            json!({ "network": network, "batch": batch, "flip": flip, "stable_baselines3": sb3, "ratio": ratio }),
-        );
+        cases.push(measured(&format!("{hidden} units"), &settings, UPDATES, &mut peers));
     }
     for (name, replayed) in
         [("stored state", Replayed::StoredState), ("episodes", Replayed::Episodes)]
     {
         let paper = Settings::of(Preset::Paper, Order::Curriculum, 1);
-        let mut ours = Ours::new(Settings { network: Network::Recurrent { replayed }, ..paper });
-        let costs_s: Vec<f64> = (0..WINDOWS).map(|_| ours.window(UPDATES / 5)).collect();
-        let network = format!("recurrent, {name}");
-        cases.push(
-            json!({ "network": network, "batch": ours.settings.batch, "flip": rates(&costs_s) }),
-        );
+        let settings = Settings { network: Network::Recurrent { replayed }, ..paper };
+        cases.push(measured(&format!("recurrent, {name}"), &settings, UPDATES / 5, &mut []));
     }
-    let version = peer.as_ref().map(|peer| peer.version.clone());
-    peer.into_iter().for_each(Peer::end);
-    let document = json!({ "windows": WINDOWS, "updates": UPDATES, "stable_baselines3": version, "updates_per_core_s": cases });
+    peers.into_iter().flatten().for_each(Peer::end);
+    let mut document =
+        json!({ "windows": WINDOWS, "updates": UPDATES, "updates_per_core_s": cases });
+    for ((_, name), version) in PEERS.iter().zip(versions) {
+        document[name] = json!(version);
+    }
     match as_json {
         true => println!("{document:#}"),
         false => print(&document),
     }
 }
 
+/// One line of the table: both of ours and the peers, taking turns.
+fn measured(network: &str, settings: &Settings, updates: u32, peers: &mut [Option<Peer>]) -> Value {
+    let with = |gradients| Ours::new(Settings { gradients, ..settings.clone() });
+    let mut ours = [Gradients::Libtorch, Gradients::Fused].map(with);
+    let inputs = settings.encoding.width();
+    let size = (settings.hidden, settings.batch);
+    let mut costs_s = vec![Vec::new(); ours.len() + peers.len()];
+    for _ in 0..WINDOWS {
+        let (own, theirs) = costs_s.split_at_mut(ours.len());
+        for (ours, costs_s) in ours.iter_mut().zip(own) {
+            costs_s.push(ours.window(updates));
+        }
+        for (peer, costs_s) in peers.iter_mut().zip(theirs) {
+            costs_s.extend(peer.as_mut().and_then(|peer| peer.window(size, inputs, updates)));
+        }
+    }
+    let mut case = json!({ "network": network, "batch": settings.batch });
+    let names = ["flip", "flip_fused"].into_iter().chain(PEERS.map(|(_, name)| name));
+    for (name, costs_s) in names.zip(&costs_s) {
+        case[name] = rates(costs_s);
+    }
+    let median = |who: &str| case[who]["median"].as_f64();
+    let over = |who: &str| Some(median("flip_fused")? / median(who)?);
+    case["fused_over"] = json!({
+        "flip": over("flip"),
+        "stable_baselines3": over("stable_baselines3"),
+        "jax": over("jax"),
+    });
+    case
+}
+
+/// Columns of the table: a word of the document, and what it is called.
+const COLUMNS: [(&str, &str); 4] = [
+    ("flip", "libtorch"),
+    ("flip_fused", "own gradients"),
+    ("stable_baselines3", "stable-baselines3"),
+    ("jax", "jax"),
+];
+
 fn print(document: &Value) {
-    let version = document["stable_baselines3"].as_str().unwrap_or("not measured");
+    let version = |name: &str| document[name].as_str().unwrap_or("not measured").to_owned();
     println!("updates per core-second, {WINDOWS} windows of {UPDATES}: median (least to most)");
-    println!("Stable-Baselines3: {version}");
-    println!(
-        "{:>24} {:>6} {:>22} {:>22} {:>6}",
-        "network", "batch", "flip", "stable-baselines3", "ratio"
-    );
+    println!("Stable-Baselines3: {}; {}", version("stable_baselines3"), version("jax"));
+    let line = |network: &str, batch: &str, cells: [String; 4], ratio: &str| {
+        let cells = cells.map(|cell| format!("{cell:>22}")).join(" ");
+        println!("{network:>24} {batch:>6} {cells} {ratio:>8}");
+    };
+    line("network", "batch", COLUMNS.map(|(_, name)| name.to_owned()), "own/lib.");
     for case in document["updates_per_core_s"].as_array().into_iter().flatten() {
-        let rates = |who: &str| match case[who]["median"].as_f64() {
+        let number = |of: &Value| of.as_f64().unwrap_or(f64::NAN);
+        let rates = |(who, _): (&str, &str)| match case[who]["median"].as_f64() {
             Some(median) => format!(
                 "{median:.0} ({:.0} to {:.0})",
-                case[who]["min"].as_f64().unwrap_or(f64::NAN),
-                case[who]["max"].as_f64().unwrap_or(f64::NAN)
+                number(&case[who]["min"]),
+                number(&case[who]["max"])
             ),
             None => "-".to_owned(),
         };
-        let ratio = case["ratio"].as_f64().map_or("-".to_owned(), |ratio| format!("{ratio:.2}"));
-        println!(
-            "{:>24} {:>6} {:>22} {:>22} {ratio:>6}",
+        line(
             case["network"].as_str().unwrap_or_default(),
-            case["batch"].to_string(),
-            rates("flip"),
-            rates("stable_baselines3")
+            &case["batch"].to_string(),
+            COLUMNS.map(rates),
+            &format!("{:.2}", number(&case["fused_over"]["flip"])),
         );
     }
 }

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Build ptx/spoons.ptx and ptx/spoons_exact.ptx from cuda/ with nvcc from PyPI.
+"""Build the kernels in ptx/ from cuda/ with nvcc from PyPI.
 
     python3 crates/flip-cuda/build_ptx.py            # build
     python3 crates/flip-cuda/build_ptx.py --check    # build elsewhere and compare
@@ -17,7 +17,12 @@ import tempfile
 HERE = pathlib.Path(__file__).resolve().parent
 # The oldest cards that the kernels serve; newer ones compile the same text for themselves.
 COMMON = ["-ptx", "-arch=compute_80", "--std=c++17", "-O3"]
-BUILDS = {"spoons.ptx": ["-ftz=true"], "spoons_exact.ptx": ["-fmad=false", "-DFLIP_EXACT"]}
+BUILDS = {
+    "spoons.ptx": ["-ftz=true", "spoons.cu"],
+    "spoons_exact.ptx": ["-fmad=false", "-DFLIP_EXACT", "spoons.cu"],
+    # Fused where the source says so, as on a processor.
+    "learner.ptx": ["-fmad=false", "learner.cu"],
+}
 
 
 def compiler(folder: pathlib.Path) -> pathlib.Path:
@@ -32,9 +37,9 @@ def compiler(folder: pathlib.Path) -> pathlib.Path:
 
 
 def build(nvcc: pathlib.Path, into: pathlib.Path) -> None:
-    """Compile both variants into a folder."""
+    """Compile every kernel into a folder."""
     for name, flags in BUILDS.items():
-        command = [str(nvcc), *COMMON, *flags, "spoons.cu", "-o", str(into / name)]
+        command = [str(nvcc), *COMMON, *flags, "-o", str(into / name)]
         subprocess.run(command, check=True, cwd=HERE / "cuda")
 
 

@@ -16,6 +16,8 @@ use std::time::Instant;
 const KERNELS: &str = include_str!("../ptx/spoons.ptx");
 /// The same without fused multiplication and addition.
 const EXACT: &str = include_str!("../ptx/spoons_exact.ptx");
+/// Updates of learners; not fused beyond what the source says.
+const LEARNERS: &str = include_str!("../ptx/learner.ptx");
 /// Threads of a block, and the most for which the kernels are compiled.
 const THREADS: u32 = 896;
 
@@ -79,6 +81,9 @@ pub enum CardError {
     /// A spoon was given two actions in one step.
     #[error("spoon {0} is named twice in one step; give its actions in two steps")]
     Twice(usize),
+    /// A learner or a batch of other sizes than the card was told, or too large for it.
+    #[error("{0}")]
+    Unfit(&'static str),
     /// A spoonful that a card cannot compute.
     #[error(transparent)]
     Refused(#[from] Refused),
@@ -177,6 +182,13 @@ impl Card {
 
     pub(crate) fn stream(&self) -> &Arc<CudaStream> {
         &self.stream
+    }
+
+    /// The kernel that updates learners, compiled for this card.
+    pub(crate) fn learners(&self) -> Result<CudaFunction> {
+        let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
+        let module = self.stream.context().load_module(Ptx::from_src(LEARNERS)).map_err(bad)?;
+        Ok(module.load_function("flip_learners")?)
     }
 
     /// Carries out the orders on these spoons, and waits for the end.

@@ -14,6 +14,11 @@
 //! later two such runs differ like two seeds; their statistics are compared by the program
 //! `gpu_report`.
 //!
+//! # Learners
+//!
+//! [`Learners`] makes updates of Soft Actor-Critic, of many trainings in one launch. Its results are
+//! those of `flip-learn` on a processor in every bit.
+//!
 //! # The twin
 //!
 //! The same source compiles for a processor (`cuda/twin.cpp`). The tests step it beside
@@ -33,6 +38,7 @@ mod engine;
 mod engine_tests;
 mod found;
 mod layout;
+mod learner;
 mod orders;
 mod spoons;
 #[cfg(test)]
@@ -42,6 +48,7 @@ mod twin;
 pub use bed::{Bed, GRAINS_MAX, Refused};
 pub use card::{Card, CardError};
 pub use found::{Found, find};
+pub use learner::{Drawn, Learned, Learners, Losses, Shape};
 pub use spoons::{Poured, Spoons};
 
 /// Result of something asked from a card.

@@ -7,38 +7,42 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-/// Compiles the twin once per process; none, with the reason printed, where there is no g++.
+/// Compiles the spoons' twin once per process; none, with the reason printed, where there is no
+/// g++.
 fn program() -> Option<&'static Path> {
-    static PROGRAM: OnceLock<Option<(tempfile::TempDir, PathBuf)>> = OnceLock::new();
-    let built = PROGRAM.get_or_init(|| {
-        let folder = tempfile::tempdir().expect("a folder for the twin");
-        let path = folder.path().join("twin");
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("cuda/twin.cpp");
-        if !source.exists() {
-            println!("skipped: the twin's source is not on this machine");
-            return None;
+    static PROGRAM: OnceLock<Option<PathBuf>> = OnceLock::new();
+    PROGRAM.get_or_init(|| built("cuda/twin.cpp")).as_deref()
+}
+
+/// Compiles a twin into a folder that lasts as long as the process; likewise.
+pub(crate) fn built(source: &str) -> Option<PathBuf> {
+    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let folder = FOLDER.get_or_init(|| tempfile::tempdir().expect("a folder for the twins"));
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(source);
+    let path = folder.path().join(source.file_stem().unwrap_or_default());
+    if !source.exists() {
+        println!("skipped: the twin's source is not on this machine");
+        return None;
+    }
+    // Fused operations would round otherwise than the code for processors does.
+    let flags = [
+        "-O2",
+        "-std=c++17",
+        "-ffp-contract=off",
+        "-fno-math-errno",
+        "-Wall",
+        "-Wno-unknown-pragmas",
+    ];
+    match Command::new("g++").args(flags).arg(&source).arg("-o").arg(&path).status() {
+        Err(_) => {
+            println!("skipped: there is no g++ to compile the twin with");
+            None
         }
-        // Fused operations would round otherwise than flip-sim does.
-        let flags = [
-            "-O2",
-            "-std=c++17",
-            "-ffp-contract=off",
-            "-fno-math-errno",
-            "-Wall",
-            "-Wno-unknown-pragmas",
-        ];
-        match Command::new("g++").args(flags).arg(&source).arg("-o").arg(&path).status() {
-            Err(_) => {
-                println!("skipped: there is no g++ to compile the twin with");
-                None
-            }
-            Ok(status) => {
-                assert!(status.success(), "g++ refused {}", source.display());
-                Some((folder, path))
-            }
+        Ok(status) => {
+            assert!(status.success(), "g++ refused {}", source.display());
+            Some(path)
         }
-    });
-    built.as_ref().map(|(_, path)| path.as_path())
+    }
 }
 
 /// Carries out orders on these spoons; their states afterwards, and what a card would return. None

@@ -1,5 +1,7 @@
 //! Adam on one flat block of parameters.
 
+use super::fused::Descent;
+
 /// Adam's state for a block of parameters (Kingma and Ba 2015, algorithm 1).
 ///
 /// ```text
@@ -46,23 +48,41 @@ impl Adam {
         let correct2 = 1.0 - f64::from(B2).powf(self.t as f64);
         let size = (learning_rate / correct1) as f32;
         let scale = (1.0 / correct2.sqrt()) as f32;
-        for (((theta, g), m), v) in theta.iter_mut().zip(gradient).zip(&mut self.m).zip(&mut self.v)
-        {
-            *m = flushed(B1 * *m + (1.0 - B1) * g);
-            *v = flushed(B2 * *v + (1.0 - B2) * g * g);
-            *theta -= size * *m / (v.sqrt() * scale + EPS);
-        }
+        let Self { m, v, .. } = self;
+        let decays = [B1, B2];
+        Descent { theta, gradient, m, v, decays, size, scale, eps: EPS, tiny: TINY }.take_step();
     }
-}
-
-/// Flushes a moment to zero if it is too small to move a parameter.
-fn flushed(moment: f32) -> f32 {
-    if moment.abs() < TINY { 0.0 } else { moment }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    #[test]
+    fn every_number_steps_as_the_formula_says_bit_for_bit() {
+        let mut rng = Pcg64Mcg::seed_from_u64(3);
+        // A length that is no multiple of a vector's.
+        let start: Vec<f32> = (0..45).map(|_| 2.0 * rng.random::<f32>() - 1.0).collect();
+        let (mut theta, mut adam) = (start.clone(), Adam::new(start.len()));
+        let (mut expected, mut m, mut v) = (start, [0.0f32; 45], [0.0f32; 45]);
+        for t in 1..=50 {
+            let gradient: Vec<f32> =
+                (0..45).map(|k| (rng.random::<f32>() - 0.5) * 10f32.powi(8 - k)).collect();
+            adam.step(&mut theta, &gradient, 3e-4);
+            let correct = |decay: f32| 1.0 - f64::from(decay).powf(f64::from(t));
+            let size = (3e-4 / correct(B1)) as f32;
+            let scale = (1.0 / correct(B2).sqrt()) as f32;
+            let flushed = |x: f32| if x.abs() < TINY { 0.0 } else { x };
+            for (k, g) in gradient.iter().enumerate() {
+                m[k] = flushed(B1 * m[k] + (1.0 - B1) * g);
+                v[k] = flushed(B2 * v[k] + (1.0 - B2) * g * g);
+                expected[k] -= size * m[k] / (v[k].sqrt() * scale + EPS);
+            }
+            assert_eq!((&theta, &adam.m, &adam.v), (&expected, &m.to_vec(), &v.to_vec()));
+        }
+    }
 
     #[test]
     fn the_first_step_has_the_size_of_the_learning_rate_whatever_the_gradient() {

@@ -145,7 +145,8 @@ fn a_linear_system_with_quadratic_cost_is_controlled_as_the_riccati_equation_say
     // Temperatures of a policy that ignores the future, and of one that expects to do nothing after
     // this step.
     let temperatures = temperature(0.0)..temperature(-idle / (RADIUS * RADIUS));
-    for seed in 1..=5 {
+    let by = [Gradients::Libtorch, Gradients::Fused];
+    for (gradients, seed) in by.into_iter().flat_map(|by| (1..=5).map(move |seed| (by, seed))) {
         let settings = Settings {
             hidden: 64,
             batch: 64,
@@ -154,6 +155,7 @@ fn a_linear_system_with_quadratic_cost_is_controlled_as_the_riccati_equation_say
             tau: 0.05,
             target_entropy: ENTROPY,
             initial_alpha: 0.02,
+            gradients,
             ..Settings::of(Preset::Flip, Order::Curriculum, seed)
         };
         let learner = learned(&settings);
@@ -164,7 +166,7 @@ fn a_linear_system_with_quadratic_cost_is_controlled_as_the_riccati_equation_say
         };
         let reached = mean(starts().map(|x| discounted(x, policy)));
         println!(
-            "seed {seed}: {reached:.4}, best {best:.4}, margin {margin:.4}, temperature {:.4}",
+            "{gradients:?}, seed {seed}: {reached:.4}, best {best:.4}, margin {margin:.4}, temperature {:.4}",
             learner.alpha()
         );
         assert!(reached > best - margin, "seed {seed}: {reached}, best {best}, margin {margin}");

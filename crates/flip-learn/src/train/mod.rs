@@ -10,13 +10,16 @@
 //! *Reproducible*: the same levels, settings and seed give the same bytes at any number of threads
 //! and across any interruption. Episodes are played in rounds of a fixed size, each with its own
 //! seed; every random number comes from a stream identified by a counter, so a checkpoint needs no
-//! generator state; libtorch runs on one thread.
+//! generator state; libtorch runs on one thread. Its bits depend on the kind of processor; those of
+//! our own gradients (`fused`, a setting) do not.
 //!
 //! libtorch is confined to this folder, behind the feature `libtorch`: [`flip_policy`] runs a policy in
 //! plain Rust. Without the feature everything but [`train`] and [`train_on`] remains.
 
 #[cfg(feature = "libtorch")]
 mod adam;
+#[cfg(feature = "libtorch")]
+mod by_libtorch;
 #[cfg(feature = "libtorch")]
 mod checkpoint;
 #[cfg(feature = "libtorch")]
@@ -27,6 +30,8 @@ pub mod environment;
 pub mod episodes;
 pub mod evaluate;
 pub mod formula;
+#[cfg(feature = "libtorch")]
+mod fused;
 pub mod lockstep;
 #[cfg(feature = "libtorch")]
 mod networks;
@@ -52,7 +57,8 @@ pub use record::{
     EpisodeRecord, Event, Flow, KEPT, Level, Losses, RANDOMISED, Start, TrainError, Trained,
 };
 pub use settings::{
-    CriticLoss, Extended, FineTuning, Network, Order, PAPER_LEVELS_DEG, Preset, Replayed, Settings,
+    CriticLoss, Extended, FineTuning, Gradients, Network, Order, PAPER_LEVELS_DEG, Preset,
+    Replayed, Settings,
 };
 pub use surrogate::Surrogate;
 #[cfg(feature = "libtorch")]

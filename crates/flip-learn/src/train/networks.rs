@@ -31,6 +31,7 @@ pub enum Networks {
 }
 
 /// Inputs of the networks.
+#[derive(Debug)]
 pub struct Seen {
     /// `[rows, inputs + 9]`: encoded observations and the powder's parameters.
     pub rows: Tensor,

@@ -14,11 +14,12 @@
 //! | `Learner::update` | batch, noise                               | one step of each  |
 
 use super::adam::Adam;
-use super::networks::{Networks, Seen};
+use super::by_libtorch::ByLibtorch;
+use super::fused::{Approach, Fused, exponential};
+use super::networks::Networks;
 use super::record::Losses;
-use super::recurrent::Course;
 use super::replay::Batch;
-use super::settings::{CriticLoss, Settings};
+use super::settings::{CriticLoss, Gradients, Settings};
 use flip_policy::{Actor, LOG_STD_MAX, LOG_STD_MIN, OUTPUTS};
 use rand::Rng;
 use tch::Tensor;
@@ -82,8 +83,8 @@ pub fn temperature_gradient(alpha: f64, mean_log_prob: f64, target_entropy: f64)
 
 /// All learnable state: networks, targets, temperature and their optimisers.
 ///
-/// Parameters live in flat vectors; libtorch only computes gradients. A snapshot or a checkpoint is
-/// a copy.
+/// Parameters live in flat vectors; what computes gradients ([`Gradients`]) only reads them. A
+/// snapshot or a checkpoint is a copy.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learner {
     /// Actor's parameters.
@@ -104,6 +105,7 @@ pub struct Learner {
     /// Optimiser of the temperature.
     pub alpha_adam: Adam,
     networks: Networks,
+    room: Room,
 }
 
 impl Learner {
@@ -121,6 +123,7 @@ impl Learner {
             actor,
             critics,
             networks,
+            room: Room::default(),
         }
     }
 
@@ -151,45 +154,57 @@ impl Learner {
     /// `noise` holds `[2, rows, 2]` standard normal numbers: for the next actions, then for the
     /// present ones.
     pub fn update(&mut self, batch: &Batch, noise: &[f32], settings: &Settings) -> Losses {
-        // Set on every thread that ever updates: libtorch stores the number per thread, and one is
-        // reproducible.
-        tch::set_num_threads(1);
-        let ((now, action), next) = self.seen(batch);
-        let noise = Tensor::from_slice(noise).view([2, -1, OUTPUTS as i64]);
-        let alpha = self.alpha();
+        let alpha = match settings.gradients {
+            Gradients::Libtorch => self.alpha(),
+            // The same bits with every C library.
+            Gradients::Fused => f64::from(exponential(self.log_alpha[0])),
+        };
+        let drawn = Drawn { batch, noise, alpha, settings };
+        let mut room = std::mem::take(&mut self.room);
+        let losses = match settings.gradients {
+            Gradients::Libtorch => {
+                let networks = self.networks.clone();
+                let mut torch = ByLibtorch::new(&networks, batch, noise);
+                self.step(&mut torch, drawn, &mut room.gradient)
+            }
+            Gradients::Fused => {
+                let fused = room.fused.get_or_insert_with(|| Box::new(Fused::new(&self.networks)));
+                self.step(fused.as_mut(), drawn, &mut room.gradient)
+            }
+        };
+        self.room = room;
+        losses
+    }
 
-        let y = tch::no_grad(|| self.target(&next, &noise.get(0), batch, alpha, settings.gamma));
-        let critics = Tensor::from_slice(&self.critics).view([2, -1]).set_requires_grad(true);
-        let critic_loss =
-            critic_loss(&self.networks.values(&critics, &now, &action), &y, settings.critic_loss);
-        let gradient = gradient_of(&critic_loss, &critics);
-        self.critics_adam.step(&mut self.critics, &gradient, settings.learning_rate);
+    /// [`Learner::update`] with these gradients, for which there is room in `gradient`.
+    fn step(
+        &mut self,
+        by: &mut impl Differentiate,
+        drawn: Drawn,
+        gradient: &mut Vec<f32>,
+    ) -> Losses {
+        let (settings, alpha) = (drawn.settings, drawn.alpha);
+        let critic = by.critics(self.blocks(), drawn, gradient);
+        self.critics_adam.step(&mut self.critics, gradient, settings.learning_rate);
 
-        let actor = Tensor::from_slice(&self.actor).set_requires_grad(true);
-        let (action, log_prob) = squash(&self.networks.head(&actor, &now), &noise.get(1));
-        let critics = Tensor::from_slice(&self.critics).view([2, -1]);
-        let actor_loss =
-            actor_loss(&self.networks.values(&critics, &now, &action), &log_prob, alpha);
-        let mean_log_prob = log_prob.mean(None).double_value(&[]);
         let held = settings.from.as_ref().map_or(0, |from| from.held_updates.into());
-        if self.critics_adam.t > held {
-            let gradient = gradient_of(&actor_loss, &actor);
-            self.actor_adam.step(&mut self.actor, &gradient, settings.learning_rate);
+        let steps = self.critics_adam.t > held;
+        let (actor, mean_log_prob) =
+            by.actor(self.blocks(), drawn, steps.then_some(&mut *gradient));
+        if steps {
+            self.actor_adam.step(&mut self.actor, gradient, settings.learning_rate);
             let gradient = temperature_gradient(alpha, mean_log_prob, settings.target_entropy);
             self.alpha_adam.step(&mut self.log_alpha, &[gradient as f32], settings.learning_rate);
             self.average(settings);
         }
+        Approach { slow: &mut self.targets, fast: &self.critics, tau: settings.tau as f32 }
+            .take_step();
+        Losses { critic, actor, entropy: -mean_log_prob, alpha }
+    }
 
-        let tau = settings.tau as f32;
-        for (slow, fast) in self.targets.iter_mut().zip(&self.critics) {
-            *slow += tau * (fast - *slow);
-        }
-        Losses {
-            critic: critic_loss.double_value(&[]),
-            actor: actor_loss.double_value(&[]),
-            entropy: -mean_log_prob,
-            alpha,
-        }
+    /// What gradients are computed from.
+    fn blocks(&self) -> Blocks<'_> {
+        Blocks { actor: &self.actor, critics: &self.critics, targets: &self.targets }
     }
 
     /// Adds the current actor to the average: `mean <- mean + (now - mean) / n` over n updates;
@@ -204,44 +219,58 @@ impl Learner {
             }
         }
     }
+}
 
-    /// Converts a batch to tensors: observations and actions, and next observations.
-    fn seen(&self, batch: &Batch) -> ((Seen, Tensor), Seen) {
-        let n = batch.reward.len() as i64;
-        let now = Tensor::from_slice(&batch.now).view([n, -1]);
-        let next = Tensor::from_slice(&batch.next).view([n, -1]);
-        let state = next.size()[1];
-        let action = now.narrow(1, state, OUTPUTS as i64);
-        let [before, after] = match (&self.networks, &batch.courses) {
-            (Networks::Recurrent { actor, .. }, Some(courses)) => {
-                Course::pair(courses, actor).map(Some)
-            }
-            _ => [None, None],
-        };
-        (
-            (Seen { rows: now.narrow(1, 0, state), course: before }, action),
-            Seen { rows: next, course: after },
-        )
-    }
+/// The blocks of parameters that an update reads.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Blocks<'a> {
+    /// The actor's.
+    pub actor: &'a [f32],
+    /// Both critics', one after the other.
+    pub critics: &'a [f32],
+    /// Those of their slow copies.
+    pub targets: &'a [f32],
+}
 
-    /// The critics' targets for a batch, from the target networks: `[rows]`.
-    fn target(&self, next: &Seen, noise: &Tensor, batch: &Batch, alpha: f64, gamma: f64) -> Tensor {
-        let actor = Tensor::from_slice(&self.actor);
-        let (action, log_prob) = squash(&self.networks.head(&actor, next), noise);
-        let targets = Tensor::from_slice(&self.targets).view([2, -1]);
-        let next_q = self.networks.values(&targets, next, &action);
-        let (reward, goes_on) =
-            (Tensor::from_slice(&batch.reward), Tensor::from_slice(&batch.goes_on));
-        td_target(&reward, &goes_on, &next_q, &log_prob, alpha, gamma)
+/// A batch with what else the losses depend on.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Drawn<'a> {
+    /// The batch.
+    pub batch: &'a Batch,
+    /// `[2, rows, 2]` standard normal numbers: for the next actions, then for the present ones.
+    pub noise: &'a [f32],
+    /// Temperature.
+    pub alpha: f64,
+    /// Discount and loss function.
+    pub settings: &'a Settings,
+}
+
+/// What computes the gradients of an update.
+pub(super) trait Differentiate {
+    /// The critics' loss; writes its gradient `[2 * parameters]`.
+    fn critics(&mut self, of: Blocks, drawn: Drawn, gradient: &mut Vec<f32>) -> f64;
+    /// The actor's loss with the critics after their step, and the mean log-probability of its
+    /// actions; writes the gradient `[parameters]` if asked for. Called after `critics` with the same batch.
+    fn actor(&mut self, of: Blocks, drawn: Drawn, gradient: Option<&mut Vec<f32>>) -> (f64, f64);
+}
+
+/// Room that updates compute in; it holds nothing between them, so two are always equal.
+#[derive(Debug, Default)]
+struct Room {
+    gradient: Vec<f32>,
+    fused: Option<Box<Fused>>,
+}
+
+impl Clone for Room {
+    fn clone(&self) -> Self {
+        Self::default()
     }
 }
 
-/// The gradient of a scalar with respect to one block, flat.
-fn gradient_of(loss: &Tensor, block: &Tensor) -> Vec<f32> {
-    let gradient = &Tensor::run_backward(&[loss], &[block], false, false)[0];
-    let mut flat = vec![0.0; gradient.numel()];
-    gradient.contiguous().copy_data(&mut flat, gradient.numel());
-    flat
+impl PartialEq for Room {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 
 use super::*;
 use crate::train::episodes::interleave;
+use crate::train::networks::Seen;
 use crate::train::replay::Courses;
 use crate::train::settings::{FineTuning, Network, Order, Preset, Replayed};
 use flip_core::domain::parameters::COUNT;
@@ -75,6 +76,9 @@ fn start(
     (learner, settings, batch, numbers(&reference["noise"]))
 }
 
+/// What computes gradients; the losses are the same.
+const BOTH: [Gradients; 2] = [Gradients::Libtorch, Gradients::Fused];
+
 /// f32 against f64: tolerance 2e-5 of the magnitude, or of one.
 fn assert_close(what: &str, ours: &[f32], expected: &[f32]) {
     assert_eq!(ours.len(), expected.len(), "{what}");
@@ -85,13 +89,16 @@ fn assert_close(what: &str, ours: &[f32], expected: &[f32]) {
 
 #[test]
 fn one_update_equals_an_independent_implementation() {
-    for reference in &references() {
+    let cases = references();
+    for (reference, gradients) in cases.iter().flat_map(|case| BOTH.map(|by| (case, by))) {
         let expected = &reference.2["expected"];
         let (mut learner, settings, batch, noise) = start(reference);
+        let settings = Settings { gradients, ..settings };
 
-        let (_, next) = learner.seen(&batch);
-        let first = Tensor::from_slice(&noise).view([2, -1, 2]).get(0);
-        let y = learner.target(&next, &first, &batch, learner.alpha(), settings.gamma);
+        let torch = ByLibtorch::new(&learner.networks, &batch, &noise);
+        let drawn =
+            Drawn { batch: &batch, noise: &noise, alpha: learner.alpha(), settings: &settings };
+        let y = torch.target(learner.blocks(), drawn);
         assert_close("y", &Vec::try_from(y).unwrap(), &numbers(&expected["y"]));
 
         let losses = learner.update(&batch, &noise, &settings);
@@ -157,7 +164,7 @@ fn gradients_equal_finite_differences_of_the_losses() {
     };
     for reference in &references() {
         let (learner, _, batch, noise) = start(reference);
-        let ((now, action), _) = learner.seen(&batch);
+        let ByLibtorch { now, action, .. } = ByLibtorch::new(&learner.networks, &batch, &noise);
         let action = action.to_kind(Kind::Double);
         let now = Seen {
             rows: now.rows.to_kind(Kind::Double),
@@ -264,12 +271,17 @@ fn the_temperature_rises_when_the_policy_is_too_sure() {
 
 #[test]
 fn a_bandit_with_a_known_answer_is_solved() {
+    BOTH.into_iter().for_each(solve_a_bandit);
+}
+
+fn solve_a_bandit(gradients: Gradients) {
     // One state, reward -(a - 0.5)^2 in both actions, every step ends: the centre of the policy
     // converges to 0.5.
     let settings = Settings {
         hidden: 32,
         batch: 64,
         learning_rate: 3e-3,
+        gradients,
         ..Settings::of(Preset::Flip, Order::Curriculum, 1)
     };
     let mut rng = Pcg64Mcg::seed_from_u64(2);
@@ -337,9 +349,10 @@ fn push_cued_episode(
 }
 
 /// Mean absolute distance of the last action from the correct one after this many updates.
-fn error_after_a_cue(network: Network, updates: u32) -> f32 {
+fn error_after_a_cue(network: Network, gradients: Gradients, updates: u32) -> f32 {
     let settings = Settings {
         network,
+        gradients,
         hidden: 32,
         batch: 32,
         learning_rate: 3e-3,
@@ -371,10 +384,13 @@ fn error_after_a_cue(network: Network, updates: u32) -> f32 {
 
 #[test]
 fn what_was_seen_two_steps_ago_decides_and_only_the_recurrent_learner_knows_it() {
-    let recurrent = error_after_a_cue(Network::Recurrent { replayed: Replayed::Episodes }, 1500);
-    let feed_forward = error_after_a_cue(Network::FeedForward, 1500);
-    println!("recurrent {recurrent:.3}, feed-forward {feed_forward:.3}");
-    assert!(recurrent < 0.15, "{recurrent}");
-    // It acts alike for both cues: 0.6 off on average, or more.
-    assert!(feed_forward > 0.59, "{feed_forward}");
+    for gradients in BOTH {
+        let network = Network::Recurrent { replayed: Replayed::Episodes };
+        let recurrent = error_after_a_cue(network, gradients, 1500);
+        let feed_forward = error_after_a_cue(Network::FeedForward, gradients, 1500);
+        println!("{gradients:?}: recurrent {recurrent:.3}, feed-forward {feed_forward:.3}");
+        assert!(recurrent < 0.15, "{recurrent}");
+        // It acts alike for both cues: 0.6 off on average, or more.
+        assert!(feed_forward > 0.59, "{feed_forward}");
+    }
 }

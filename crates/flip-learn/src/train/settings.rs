@@ -81,6 +81,18 @@ pub enum CriticLoss {
     Huber,
 }
 
+/// What computes the gradients of an update. The losses are the same; sums are in another order, so
+/// trainings differ from the last digits on, as between two kinds of processor with libtorch.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Gradients {
+    /// libtorch, whose bits depend on the processor.
+    #[default]
+    Libtorch,
+    /// Our own code, two to three times as fast, with the same bits on every processor.
+    Fused,
+}
+
 /// The days of a training under an extended simulator; each episode has one. On the surrogate, only
 /// their effect on a powder's parameters applies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -220,6 +232,9 @@ pub struct Settings {
     /// Loss function of the critics. Default squared (Haarnoja 2018), Huber (prior work).
     #[serde(default)]
     pub critic_loss: CriticLoss,
+    /// What computes the gradients. Default libtorch, which stored trainings were made with.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub gradients: Gradients,
     /// Discount per step. Default 0.9 (ours: the ending counts for ten steps), 0.99 (prior work).
     pub gamma: f64,
     /// Share of the critic copied to the target network per update. Default 0.005 (Haarnoja 2018).
@@ -280,6 +295,7 @@ impl Settings {
             replay_capacity: 1_000_000,
             learning_rate: 3e-4,
             critic_loss: CriticLoss::Squared,
+            gradients: Gradients::Libtorch,
             gamma: 0.9,
             tau: 0.005,
             target_entropy: -2.0,
