@@ -12,7 +12,7 @@
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
 # make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal; not run yet (ARGS="3 100": repeats, size in %; FLIP_POSTGRES_BIN=folder of initdb)
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: a quarter of an hour (ARGS='--episodes 40')
-# make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers; not run yet (ARGS="30 300 10000": seconds, requests a second, queued jobs)
+# make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped; not run whole yet (ARGS='4 2': 4 % of the faults, seed)
 # make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, an evaluation and a training by the commands; without a card it says so (ARGS=speed)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes; not run yet
