@@ -223,10 +223,11 @@ impl Desk<'_> {
         }
         // In one order, whoever asked first.
         asked.sort_unstable_by_key(|(place, _)| *place);
-        let stepped = self.batch.step(&asked).and_then(|stands| match stands.len() == asked.len() {
-            true => Ok(stands),
-            false => Err(Failed("the batch did not answer every spoon".to_owned())),
-        });
+        let stepped =
+            self.batch.step(&asked).and_then(|stands| match stands.len() == asked.len() {
+                true => Ok(stands),
+                false => Err(Failed("the batch did not answer every spoon".to_owned())),
+            });
         match stepped {
             Ok(stands) => {
                 for ((place, _), stand) in asked.iter().zip(stands) {
