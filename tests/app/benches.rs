@@ -10,7 +10,7 @@ use flip_core::domain::bench::{Action, BenchKind, Reading, Tick};
 use flip_core::domain::weighing::{Outcome, WeighingState};
 use sqlx::{Connection, PgConnection};
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
