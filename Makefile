@@ -15,7 +15,7 @@
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped; not run whole yet (ARGS='4 2': 4 % of the faults, seed)
 # make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, an evaluation and a training by the commands; without a card it says so; not run whole yet (ARGS=speed)
-# make slim       the program without training and libtorch, and the Python wheel: their sizes; not run yet
+# make slim       the program without training and libtorch, and the Python wheel: their sizes
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
 # make pictures   the pictures of the page in README and docs, of doses it has weighed on the emulated bench: about five minutes
 # make docs   the documentation as pages, which the service shows below /docs; checks links, spelling and style · make docs-reference   the generated ones, from the built binary
