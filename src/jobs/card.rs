@@ -14,13 +14,13 @@ use flip_core::domain::conditions::Patch;
 use flip_core::domain::device::Device;
 use flip_cuda::{Card, GRAINS_MAX};
 use flip_learn::train::evaluate::Dose;
-use flip_sim::batch::{Engine, Failed, Place, settled, side_by_side};
-use flip_sim::dispense::{self, Dispenser};
+use flip_sim::batch::{Engine, Failed, Place, side_by_side};
+use flip_sim::dispense;
 use flip_sim::mechanisms::Extensions;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 /// The graphics card of this process.
@@ -116,17 +116,14 @@ pub struct SideBySide(pub Arc<dyn Engine>);
 
 impl Runner<DoseExperiment, Result<Dose, String>> for SideBySide {
     fn run(&self, experiments: &[DoseExperiment], each: &mut Each<'_, Result<Dose, String>>) {
-        // Doses from one bed follow each other, so that it is filled once and need not be kept.
-        let beds = Beds::of(experiments);
         let procedure = |n: usize, place: &mut Place| {
-            let (begun, experiment) = (Instant::now(), &experiments[beds.order[n]]);
-            let bed = beds.take(n, experiment);
-            let outcome = match place.fill(&bed) {
+            let (begun, experiment) = (Instant::now(), &experiments[n]);
+            let DoseExperiment { task, simulation } = experiment;
+            let outcome = match place.settle(simulation.loose(&task.rules)) {
                 Err(Failed(why)) => Err(why),
                 Ok(seat) => {
                     let mut go_on = |_: &Event<'_>| ControlFlow::Continue(());
                     let stop = AtomicBool::new(false);
-                    let DoseExperiment { task, simulation } = experiment;
                     dose_of(simulate_from(seat, task, simulation, &mut go_on, &stop))
                 }
             };
@@ -135,7 +132,7 @@ impl Runner<DoseExperiment, Result<Dose, String>> for SideBySide {
         let heard = AtomicBool::new(false);
         let mut each = |n: usize, run| {
             heard.store(true, Ordering::SeqCst);
-            each(beds.order[n], run)
+            each(n, run)
         };
         let ran = self.0.batch(self.0.places().min(experiments.len())).and_then(|mut batch| {
             side_by_side(&mut *batch, experiments.len(), procedure, &mut each)
@@ -146,56 +143,6 @@ impl Runner<DoseExperiment, Result<Dose, String>> for SideBySide {
         {
             let _ = each(0, Run { outcome: Err(why), seconds: 0.0 });
         }
-    }
-}
-
-/// The beds of some doses, each settled once and kept while doses from it are left.
-struct Beds {
-    /// Places of the doses, those of one bed next to each other.
-    order: Vec<usize>,
-    /// The bed of each, in that order.
-    of: Vec<usize>,
-    kept: Vec<Mutex<Kept>>,
-}
-
-#[derive(Default)]
-struct Kept {
-    bed: Arc<OnceLock<Arc<Dispenser>>>,
-    /// Doses that have not taken it yet.
-    left: usize,
-}
-
-impl Beds {
-    fn of(experiments: &[DoseExperiment]) -> Self {
-        let mut known = HashMap::new();
-        let number = |of: &DoseExperiment| {
-            let settings = (&of.simulation.spoon, of.task.rules.pitch);
-            let settings = serde_json::to_string(&settings).expect("plain data");
-            let key = (of.simulation.set.id(), settings, of.simulation.seed);
-            let next = known.len();
-            *known.entry(key).or_insert(next)
-        };
-        let beds: Vec<usize> = experiments.iter().map(number).collect();
-        let mut order: Vec<usize> = (0..experiments.len()).collect();
-        order.sort_by_key(|place| beds[*place]);
-        let mut kept: Vec<Kept> = known.iter().map(|_| Kept::default()).collect();
-        beds.iter().for_each(|bed| kept[*bed].left += 1);
-        let of = order.iter().map(|place| beds[*place]).collect();
-        Self { order, of, kept: kept.into_iter().map(Mutex::new).collect() }
-    }
-
-    /// The bed of the `n`th dose in order.
-    fn take(&self, n: usize, experiment: &DoseExperiment) -> Arc<Dispenser> {
-        let kept = || self.kept[self.of[n]].lock().unwrap_or_else(PoisonError::into_inner);
-        let bed = kept().bed.clone();
-        let fill = || settled(|| experiment.simulation.filled(&experiment.task.rules));
-        let taken = bed.get_or_init(fill).clone();
-        let mut kept = kept();
-        kept.left -= 1;
-        if kept.left == 0 {
-            kept.bed = Arc::default();
-        }
-        taken
     }
 }
 

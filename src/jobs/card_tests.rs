@@ -6,6 +6,7 @@ use flip_core::domain::parameters::ParameterSet;
 use flip_policy::{Controller, Paced, Rules, ScheduledStep};
 use flip_sim::balance;
 use flip_sim::batch::{Batch, Cores, Motion, Stand};
+use flip_sim::dispense::Dispenser;
 
 /// Small spoons of 4 mg, poured by two controllers from three beds each.
 fn experiments() -> Vec<DoseExperiment> {
@@ -66,26 +67,6 @@ fn doses_side_by_side_on_the_cores_are_those_of_one_after_the_other_in_every_bit
         assert_eq!(found, alone, "{places} places");
     }
     assert!(SideBySide(Arc::new(Few(3))).run_all(&[]).is_empty());
-}
-
-#[test]
-fn doses_of_one_bed_follow_each_other_and_the_bed_is_kept_no_longer() {
-    let experiments = experiments();
-    let beds = Beds::of(&experiments);
-    assert_eq!(beds.order, [0, 3, 1, 4, 2, 5]);
-    assert_eq!(beds.of, [0, 0, 1, 1, 2, 2]);
-    let first = beds.take(0, &experiments[0]);
-    assert!(Arc::ptr_eq(&first, &beds.take(1, &experiments[3])), "it was filled once");
-    drop(first);
-    assert!(beds.kept[0].lock().unwrap().bed.get().is_none());
-    // Another spoon, another powder or another range of the pitch is another bed.
-    let mut others = vec![experiments[0].clone(); 4];
-    others[1].simulation.spoon.particles = 301;
-    others[2].simulation.set = ParameterSet::default().with("friction", 0.7).unwrap();
-    let mut rules = Rules::FLIP;
-    rules.pitch.upper_deg -= 1.0;
-    others[3].task = Arc::new(Task { rules, ..(*others[3].task).clone() });
-    assert_eq!(Beds::of(&others).of, [0, 1, 2, 3]);
 }
 
 /// Cores that break at a step.

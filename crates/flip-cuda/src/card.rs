@@ -4,7 +4,7 @@ use crate::found::{Found, find, lacking};
 use crate::layout;
 use crate::orders::{Orders, Raw};
 use crate::{Refused, Result};
-use cudarc::driver::sys::{CUdevice_attribute, CUfunction_attribute};
+use cudarc::driver::sys::{CUdevice_attribute, CUevent_flags, CUfunction_attribute};
 use cudarc::driver::{
     CudaContext, CudaFunction, CudaSlice, CudaStream, DriverError, LaunchConfig, PushKernelArg,
 };
@@ -238,7 +238,7 @@ impl Card {
         unsafe {
             launch.launch(config)?;
         }
-        stream.synchronize()?;
+        wait(stream)?;
         let kernel_s = start.elapsed().as_secs_f64();
         let lost = stream.clone_dtoh(&lost)?;
         stream.synchronize()?;
@@ -256,6 +256,12 @@ impl Card {
         stream.synchronize()?;
         Ok(raw)
     }
+}
+
+/// Waits for what the stream has been given, and leaves the core to others meanwhile: a card may take
+/// seconds, and other threads learn.
+pub(crate) fn wait(stream: &CudaStream) -> Result<()> {
+    Ok(stream.record_event(Some(CUevent_flags::CU_EVENT_BLOCKING_SYNC))?.synchronize()?)
 }
 
 fn padded<T: Clone>(table: &[T], with: T) -> Vec<T> {

@@ -3,8 +3,8 @@
 //! The physics is that of [`flip_sim`], whose theory the kernels under `cuda/` follow: the same
 //! contacts, friction with memory, cohesion, damping and bowl, the same motion of the spoon, and the
 //! same judgement of what falls into the vial. One block of threads carries out one spoon's whole
-//! action in one launch. Beds are settled by the CPU ([`flip_sim::dispense::Dispenser`]); a spoon's
-//! state stays on the card between actions.
+//! action in one launch. A spoon is filled with a bed that the CPU has settled, or with a loose heap
+//! ([`flip_sim::dispense::Dispenser::loose`]) that comes to rest on the card; its state stays there between actions.
 //!
 //! # What is equal and what is not
 //!

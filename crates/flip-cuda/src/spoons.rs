@@ -209,13 +209,16 @@ impl Spoons {
         let raw = self.card.carry_out(&self.laws, &mut self.words, &orders)?;
         self.kernel_s = raw.kernel_s;
         let poured = orders::poured(&tasks, &orders, &raw)?;
-        for (&(spoon, _), poured) in motions.iter().zip(&poured) {
+        for (&(spoon, motion), poured) in motions.iter().zip(&poured) {
             let Some(standing) = &mut self.held.standing[spoon] else { continue };
             standing.pitch_deg = poured.pitch_deg;
             standing.grains = poured.kept;
             standing.substeps += poured.substeps;
             for (sum, more) in standing.left.iter_mut().zip(poured.left) {
                 *sum += more;
+            }
+            if matches!(motion, Motion::Settle) {
+                standing.left = [0; 2];
             }
         }
         Ok(poured)

@@ -1,15 +1,23 @@
 //! The kernel's source, compiled for a processor, beside flip-sim.
 
 use super::carry_out;
-use crate::layout;
 use crate::orders::{self, Orders, Task};
+use crate::{Poured, layout};
 use flip_core::domain::bench::Action;
 use flip_core::domain::parameters::ParameterSet;
+use flip_sim::batch::Motion;
 use flip_sim::dispense::outside::{Grain, State};
 use flip_sim::dispense::{Dispenser, Settings};
 
 /// A small spoon, filled and at rest.
 pub(crate) fn small(cohesion: f64, friction: f64) -> Dispenser {
+    of(Dispenser::new, cohesion, friction)
+}
+
+/// How a spoon is filled: [`Dispenser::new`] or [`Dispenser::loose`].
+type Fill = fn(&ParameterSet, &Settings, u64) -> Dispenser;
+
+fn of(fill: Fill, cohesion: f64, friction: f64) -> Dispenser {
     let set = ParameterSet::default()
         .with("cohesion", cohesion)
         .and_then(|set| set.with("friction", friction))
@@ -17,7 +25,20 @@ pub(crate) fn small(cohesion: f64, friction: f64) -> Dispenser {
         .expect("they are within their bounds");
     let settings =
         Settings { particles: 350, semi_axes_mm: [2.4, 1.7, 1.0], ..Settings::default() };
-    Dispenser::new(&set, &settings, 5)
+    fill(&set, &settings, 5)
+}
+
+/// What one motion of the twin makes of a spoon.
+fn moved(dispenser: &Dispenser, motion: Motion) -> Option<(State, Poured)> {
+    let spoon = dispenser.spoon().expect("no mechanisms");
+    let image = layout::image(&dispenser.state()).expect("few grains");
+    let pitch_deg = dispenser.pitch_deg();
+    let (shape, grains) = (&spoon, image[0]);
+    let tasks = [Task { spoon: 0, law: 0, shape, pitch_deg, motion, grains }];
+    let orders = orders::plan(&tasks);
+    let (states, raw) = carry_out(&[layout::law(&spoon)], &[image], &orders)?;
+    let poured = orders::poured(&tasks, &orders, &raw).expect("it makes sense")[0];
+    Some((layout::state(&states[0]), poured))
 }
 
 /// One job for each spoon: `bodies` of its own, without rest.
@@ -199,6 +220,37 @@ fn a_whole_action_of_the_twin_pours_about_what_flip_sim_pours_and_loses_no_grain
         }
         // Two runs that differ by rounding scatter like two seeds: a tenth of the spoon at most.
         assert!((mine - theirs).abs() < 0.1 * dispenser.spoon_mg().max(theirs), "{mine} {theirs}");
+    }
+}
+
+#[test]
+fn a_loose_heap_settles_on_the_twin_into_the_bed_of_flip_sim() {
+    for (cohesion, friction) in [(0.0, 0.4), (0.5, 0.6)] {
+        let mut dispenser = of(Dispenser::loose, cohesion, friction);
+        let Some((state, poured)) = moved(&dispenser, Motion::Settle) else { return };
+        let duration_s = dispenser.settle();
+        let expected = dispenser.state();
+        assert_eq!(poured.fault, None);
+        // Each grain lies on some other, so that all beds of a powder are about as high.
+        let height = |state: &State| {
+            let heights = state.grains.iter().map(|grain| f64::from(grain.x[2]));
+            heights.sum::<f64>() / state.grains.len() as f64
+        };
+        let (mine, theirs) = (height(&state), height(&expected));
+        let contacts = [&state, &expected].map(|it| it.stuck.len() as f64);
+        println!(
+            "{mine:.3} and {theirs:.3} diameters, {contacts:?} contacts; {poured:?} and {duration_s} s"
+        );
+        assert!((mine - theirs).abs() < 0.05, "{mine} and {theirs}");
+        assert!((contacts[0] / contacts[1] - 1.0).abs() < 0.05, "{contacts:?}");
+        let lost = [&state, &expected].map(|it| 350 - it.grains.len());
+        assert!(lost.iter().all(|lost| *lost < 18), "{lost:?} of 350 grains rolled off");
+        // It fell as long, and rested within the same time.
+        let fastest =
+            state.grains.iter().flat_map(|grain| grain.v).fold(0.0, |a: f32, b| a.max(b.abs()));
+        let spoon = dispenser.spoon().expect("no mechanisms");
+        assert!(fastest < spoon.rest_speed || poured.duration_s > 1.0, "{fastest}");
+        assert!((poured.duration_s - duration_s).abs() < 0.5);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Spoons by the batch: the unit in which they are computed, on cores or on a graphics card.
 //!
 //! ```text
-//!   beds settle on cores --fill--> places of a Batch --step: one motion each--> how each stands
+//!   settled or loose beds --fill--> places of a Batch --step: one motion each--> how each stands
 //!                                      ^  Cores: rayon over Dispenser, the same bytes on any number of threads
 //!                                      |  flip-cuda: one launch for all, statistics of the same physics
 //!   procedures that act on one spoon after the other: side_by_side (seats.rs)
@@ -17,7 +17,6 @@ pub use seats::{Place, Seat, side_by_side};
 use super::dispense::Dispenser;
 use flip_core::domain::bench::{Action, PitchLimits};
 use rayon::prelude::*;
-use std::sync::Arc;
 
 /// What a spoon is asked to do.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,6 +25,9 @@ pub enum Motion {
     Act(Action),
     /// Back to level, as [`Dispenser::level`] carries it out.
     Level,
+    /// A loose heap comes to rest, as [`Dispenser::settle`] carries it out: what falls off is
+    /// forgotten.
+    Settle,
 }
 
 impl From<Action> for Motion {
@@ -75,7 +77,8 @@ pub trait Batch: Send {
     /// How many places there are; they are counted from 0.
     fn places(&self) -> usize;
 
-    /// Puts a copy of each of these settled spoonfuls into a place, and forgets what was there.
+    /// Puts a copy of each of these spoonfuls into a place, and forgets what was there. A loose one
+    /// first needs [`Motion::Settle`].
     ///
     /// # Errors
     /// A place that does not exist, a spoonful that this engine cannot compute, or a device that fails.
@@ -125,6 +128,7 @@ impl Filled for Dispenser {
         let poured = match motion {
             Motion::Act(action) => self.step(action),
             Motion::Level => self.level(),
+            Motion::Settle => return self.settle(),
         };
         poured.duration_s
     }
@@ -207,11 +211,6 @@ impl Batch for OnCores {
 /// The error for a place that does not exist.
 pub fn no_place(place: usize, places: usize) -> Failed {
     Failed(format!("place {place} was named, and there are {places}, counted from 0"))
-}
-
-/// Fills a spoon on one of the cores, however many threads ask for one at once.
-pub fn settled(fill: impl FnOnce() -> Dispenser + Send) -> Arc<Dispenser> {
-    Arc::new(rayon::join(fill, || ()).0)
 }
 
 #[cfg(test)]

@@ -125,6 +125,8 @@ pub struct Dispenser {
     /// In units of a mean grain's mass.
     vial: f64,
     spilled: f64,
+    /// How long the last grain of a loose heap falls, s; 0 once it has settled.
+    fall_s: f64,
     fault: Option<String>,
     substeps: u32,
     camera: Option<Camera>,
@@ -135,6 +137,8 @@ pub struct Dispenser {
 const SLICE: u32 = 8;
 /// A powder rests if no grain was faster than this for [`REST_S`], m/s.
 const REST_M_S: f64 = 0.01;
+/// Longest wait for a heap to rest, in waits after a motion.
+const SETTLE_WAITS: f64 = 2.0;
 /// Time over which rest is judged, s.
 const REST_S: f64 = 0.02;
 
@@ -142,6 +146,13 @@ impl Dispenser {
     /// Fills the level spoon and lets the powder rest (under a second of CPU; clone to reuse).
     pub fn new(set: &ParameterSet, settings: &Settings, seed: u64) -> Self {
         Self::empty(set, settings).filled(seed)
+    }
+
+    /// The same before the powder has fallen: [`Self::settle`] is what is left to do.
+    pub fn loose(set: &ParameterSet, settings: &Settings, seed: u64) -> Self {
+        let mut spoon = Self::empty(set, settings);
+        spoon.pour(seed);
+        spoon
     }
 
     /// Creates a spoon without powder.
@@ -158,6 +169,7 @@ impl Dispenser {
             pitch_deg: 0.0,
             vial: 0.0,
             spilled: 0.0,
+            fall_s: 0.0,
             fault: None,
             substeps: 0,
             camera: None,
@@ -172,7 +184,8 @@ impl Dispenser {
 
     /// Fills the level spoon and lets the powder rest.
     pub(super) fn filled(mut self, seed: u64) -> Self {
-        self.fill(seed);
+        self.pour(seed);
+        self.settle();
         self
     }
 
@@ -180,7 +193,7 @@ impl Dispenser {
     /// come to rest.
     pub(super) fn holding(mut self, grains: impl Iterator<Item = [Vector; 2]>) -> Self {
         grains.for_each(|[x, v]| self.grains.pour(&self.law, x, v));
-        self.rest(2.0 * self.settings.settle_max_s);
+        self.rest(SETTLE_WAITS * self.settings.settle_max_s);
         (self.vial, self.spilled) = (0.0, 0.0);
         self
     }
@@ -216,9 +229,8 @@ impl Dispenser {
         Pose { pitch_rad: self.pitch_deg.to_radians(), ..Pose::default() }
     }
 
-    /// Rains grains from a loose lattice over the middle of the bowl; those that roll off while
-    /// filling are not counted.
-    fn fill(&mut self, seed: u64) {
+    /// Holds grains in a loose lattice over the middle of the bowl.
+    fn pour(&mut self, seed: u64) {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0xF111]));
         let [a, b, _] = self.bowl.semi_axes;
         let mut left = self.settings.particles;
@@ -235,12 +247,19 @@ impl Dispenser {
             }
             height += 1.15;
         }
-        let fall_s = (2.0 * f64::from(height + self.bowl.semi_axes[2]) * self.law.diameter_m
+        self.fall_s = (2.0 * f64::from(height + self.bowl.semi_axes[2]) * self.law.diameter_m
             / super::law::GRAVITY)
             .sqrt();
+    }
+
+    /// Lets a loose heap fall into the level spoon and come to rest; returns how long that took, s.
+    /// Grains that roll off meanwhile are not counted.
+    pub fn settle(&mut self) -> f64 {
+        let fall_s = std::mem::take(&mut self.fall_s);
         self.run(fall_s, |_| (Pose::default(), 0.0));
-        self.rest(2.0 * self.settings.settle_max_s);
+        let rested_s = self.rest(SETTLE_WAITS * self.settings.settle_max_s);
         (self.vial, self.spilled) = (0.0, 0.0);
+        fall_s + rested_s
     }
 
     /// Carries out one action: first the pitch, clamped to its limits, then each stroke, until the

@@ -67,6 +67,11 @@ impl Simulation {
     pub fn filled(&self, rules: &Rules) -> Dispenser {
         Dispenser::new(&self.set, &self.spoon_for(rules), bed_seed(self.seed))
     }
+
+    /// The same before the powder has fallen ([`Dispenser::loose`]).
+    pub fn loose(&self, rules: &Rules) -> Dispenser {
+        Dispenser::loose(&self.set, &self.spoon_for(rules), bed_seed(self.seed))
+    }
 }
 
 fn carry_out(

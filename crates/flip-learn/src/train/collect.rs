@@ -8,7 +8,7 @@ use super::replay::Memory;
 use super::settings::Settings;
 use super::spoons::Spoons;
 use flip_policy::{Actor, Carried, OUTPUTS};
-use flip_sim::batch::{Batch, Engine, Failed, Place, settled, side_by_side};
+use flip_sim::batch::{Batch, Engine, Failed, Place, side_by_side};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -60,7 +60,7 @@ impl<F: Filling> Rounds for Spoons<F> {
 }
 
 /// Plays the doses of a round side by side on one batch, each step of all of them at once. Those on the
-/// surrogate, and the settling of beds, are of this machine's cores.
+/// surrogate are of this machine's cores.
 pub struct SideBySide {
     spoons: Spoons<Simulated>,
     batch: Mutex<Box<dyn Batch>>,
@@ -94,9 +94,8 @@ impl Rounds for SideBySide {
                 return None;
             }
             let mut plan = waiting[k].lock().unwrap_or_else(PoisonError::into_inner).take()?;
-            let bed = settled(|| plan.spoon(&self.spoons, settings));
             // Why it cannot be filled is what the batch returns.
-            let seat = place.fill(&bed).ok()?;
+            let seat = place.settle(plan.loose(&self.spoons)).ok()?;
             let played = play_planned(&mut plan, seat, actor, settings);
             Some((plan, played))
         };

@@ -55,15 +55,26 @@ pub struct Simulated {
     pub settings: dispense::Settings,
 }
 
+impl Simulated {
+    /// Like [`Filling::fill_under`], before the powder has fallen ([`Dispenser::loose`]).
+    pub fn loose(&self, set: &ParameterSet, patch: &Patch, seed: u64) -> Dispenser {
+        Dispenser::loose(set, &self.under(patch), seed)
+    }
+
+    fn under(&self, patch: &Patch) -> dispense::Settings {
+        let extensions =
+            self.settings.extensions.patched(patch).expect("checked before the training begins");
+        dispense::Settings { extensions, ..self.settings }
+    }
+}
+
 impl Filling for Simulated {
     type Spoon = Dispenser;
     fn fill(&self, set: &ParameterSet, seed: u64) -> Dispenser {
         Dispenser::new(set, &self.settings, seed)
     }
     fn fill_under(&self, set: &ParameterSet, patch: &Patch, seed: u64) -> Dispenser {
-        let extensions =
-            self.settings.extensions.patched(patch).expect("checked before the training begins");
-        Dispenser::new(set, &dispense::Settings { extensions, ..self.settings }, seed)
+        Dispenser::new(set, &self.under(patch), seed)
     }
 }
 

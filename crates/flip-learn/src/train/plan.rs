@@ -1,6 +1,6 @@
 //! What is drawn for an episode before it is played: powder, conditions, target, heap.
 
-use super::environment::Filling;
+use super::environment::{Filling, Simulated};
 use super::record::Level;
 use super::settings::{Extended, Order, Settings};
 use super::spoons::Spoons;
@@ -9,6 +9,8 @@ use flip_core::domain::FieldError;
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
+#[cfg(feature = "libtorch")]
+use flip_sim::dispense::Dispenser;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -115,12 +117,21 @@ impl Planned {
     /// Its filled spoon.
     pub(super) fn spoon<F: Filling>(&self, spoons: &Spoons<F>, settings: &Settings) -> F::Spoon {
         // If days do not recur, keeping their spoons is not worth the memory.
-        let recur = settings.extended.as_ref().is_none_or(Extended::is_held);
-        match (self.randomised, recur) {
-            (true, _) => spoons.fill(&self.set, self.index, &self.patch),
-            (false, false) => spoons.fill(&self.set, self.heap, &self.patch),
-            (false, true) => spoons.take(&self.set, self.heap, &self.patch),
+        let recurs = !self.randomised && settings.extended.as_ref().is_none_or(Extended::is_held);
+        match recurs {
+            true => spoons.take(&self.set, self.own_heap(), &self.patch),
+            false => spoons.fill(&self.set, self.own_heap(), &self.patch),
         }
+    }
+
+    /// Its spoon before the powder has fallen.
+    #[cfg(feature = "libtorch")]
+    pub(super) fn loose(&self, spoons: &Spoons<Simulated>) -> Dispenser {
+        spoons.loose(&self.set, self.own_heap(), &self.patch)
+    }
+
+    fn own_heap(&self) -> u32 {
+        if self.randomised { self.index } else { self.heap }
     }
 }
 

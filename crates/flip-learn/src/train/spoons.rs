@@ -1,9 +1,10 @@
 //! Cache of filled spoons: filling takes as long as several steps.
 
-use super::environment::Filling;
+use super::environment::{Filling, Simulated};
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
+use flip_sim::dispense::Dispenser;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
 
@@ -38,6 +39,13 @@ impl<F: Filling> Spoons<F> {
     /// The same without caching, for powders and conditions that occur once.
     pub fn fill(&self, set: &ParameterSet, heap: u32, patch: &Patch) -> F::Spoon {
         self.filling.fill_under(set, patch, derive(self.seed, &[heap.into()]))
+    }
+}
+
+impl Spoons<Simulated> {
+    /// Like [`Self::fill`], before the powder has fallen.
+    pub fn loose(&self, set: &ParameterSet, heap: u32, patch: &Patch) -> Dispenser {
+        self.filling.loose(set, patch, derive(self.seed, &[heap.into()]))
     }
 }
 

@@ -44,6 +44,16 @@ impl Place {
         Ok(Seat { pitch: bed.pitch(), stand, place: self })
     }
 
+    /// The same with a loose heap, which comes to rest in its place.
+    ///
+    /// # Errors
+    /// The batch cannot compute it, or has failed.
+    pub fn settle(&mut self, heap: Dispenser) -> Result<Seat<'_>, Failed> {
+        let mut seat = self.fill(&Arc::new(heap))?;
+        seat.stand = seat.place.ask(Said::Move(Motion::Settle))?;
+        Ok(seat)
+    }
+
     fn ask(&self, said: Said) -> Answer {
         let ended = || Failed("the batch has ended".to_owned());
         self.says.send((self.number, said)).map_err(|_| ended())?;

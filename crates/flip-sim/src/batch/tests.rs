@@ -2,24 +2,26 @@ use super::*;
 use crate::dispense::Settings;
 use flip_core::domain::parameters::ParameterSet;
 use std::ops::ControlFlow;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
-/// Filled spoons of two powders, small enough to pour in milliseconds.
+/// Filled spoons of two powders, small enough to pour in milliseconds; the last one is loose.
 fn beds() -> Vec<Arc<Dispenser>> {
-    let bed = |friction: f64, seed| {
+    let bed = |friction: f64, seed, fill: fn(&ParameterSet, &Settings, u64) -> Dispenser| {
         let set = ParameterSet::default().with("friction", friction).unwrap();
         let settings =
             Settings { particles: 200, semi_axes_mm: [2.4, 1.7, 1.0], ..Settings::default() };
-        settled(|| Dispenser::new(&set, &settings, seed))
+        Arc::new(fill(&set, &settings, seed))
     };
-    vec![bed(0.3, 1), bed(0.6, 2), bed(0.3, 3)]
+    let loose = Dispenser::loose;
+    vec![bed(0.3, 1, Dispenser::new), bed(0.6, 2, Dispenser::new), bed(0.3, 3, loose)]
 }
 
-/// The motions of spoon `k`, as many as its number and three.
+/// The motions of spoon `k`: it settles if it is loose, then as many actions as its number and three.
 fn motions(k: usize) -> Vec<Motion> {
     let act = |n: usize| Motion::Act(Action::once(8.0, (2 * n + k % 3) as f64));
-    (0..3 + k % 3).map(act).chain([Motion::Level]).collect()
+    let settle = (k % 3 == 2).then_some(Motion::Settle);
+    settle.into_iter().chain((0..3 + k % 3).map(act)).chain([Motion::Level]).collect()
 }
 
 /// What a spoon gives when its motions are carried out on it alone.
@@ -30,6 +32,7 @@ fn alone(bed: &Dispenser, k: usize) -> Vec<Stand> {
         let duration_s = match motion {
             Motion::Act(action) => spoon.step(action).duration_s,
             Motion::Level => spoon.level().duration_s,
+            Motion::Settle => spoon.settle(),
         };
         given.push(Stand::of(&spoon, duration_s));
     }
@@ -51,7 +54,7 @@ fn a_batch_on_cores_gives_the_bytes_of_each_spoon_alone_on_any_number_of_threads
             batch.fill(&[(1, &beds[1]), (3, &beds[2])]).unwrap();
             let places = [0, 1, 3];
             let mut given: Vec<Vec<Stand>> = vec![Vec::new(); 3];
-            for step in 0..6 {
+            for step in 0..7 {
                 let still = |k: &usize| step < motions(*k).len();
                 // From the last to the first: answers are in the order of the motions.
                 let asked: Vec<usize> = (0..3).rev().filter(still).collect();
@@ -63,6 +66,18 @@ fn a_batch_on_cores_gives_the_bytes_of_each_spoon_alone_on_any_number_of_threads
             assert_eq!(given, expected);
         });
     }
+}
+
+#[test]
+fn a_loose_heap_that_settles_is_a_filled_spoon() {
+    let settings = Settings { particles: 200, ..Settings::default() };
+    let of = |fill: fn(&ParameterSet, &Settings, u64) -> Dispenser| {
+        fill(&ParameterSet::default(), &settings, 4)
+    };
+    let (mut loose, filled) = (of(Dispenser::loose), of(Dispenser::new));
+    assert_ne!(loose.snapshot(), filled.snapshot());
+    assert!(loose.settle() > 0.0);
+    assert_eq!(loose.snapshot(), filled.snapshot());
 }
 
 #[test]

@@ -11,7 +11,7 @@ use super::super::law::Law;
 use super::super::snapshot::Snapshot;
 use super::super::walls::Shape;
 use super::motion::{self, Pose};
-use super::{Dispenser, REST_M_S, REST_S, SLICE, Settings};
+use super::{Dispenser, REST_M_S, REST_S, SETTLE_WAITS, SLICE, Settings};
 use crate::constraints::{Contact, vector};
 
 /// Strengths of one kind of contact; shares are of one substep and one side.
@@ -75,6 +75,8 @@ pub struct Spoon {
     pub rest_speed: f32,
     /// Substeps for which they must stay below it.
     pub quiet: u32,
+    /// How long the last grain of a loose heap falls, s.
+    fall_s: f64,
 }
 
 /// A grain of a spoon.
@@ -122,6 +124,7 @@ pub struct Part {
 enum Kind {
     Incline { from_deg: f64, to_deg: f64 },
     Shake { pitch_deg: f64, amplitude_m: f64 },
+    Fall,
 }
 
 /// An action, part by part.
@@ -148,11 +151,14 @@ pub struct Departed {
 }
 
 impl Spoon {
-    /// Takes a motion apart for a spoon at this pitch, as [`Dispenser::step`] and
-    /// [`Dispenser::level`] carry it out.
+    /// Takes a motion apart for a spoon at this pitch, as [`Dispenser::step`],
+    /// [`Dispenser::level`] and [`Dispenser::settle`] carry it out.
     pub fn plan(&self, pitch_deg: f64, motion: impl Into<Motion>) -> Plan {
         let limits = self.settings.pitch;
         let (to_deg, shake_mm, strokes) = match motion.into() {
+            Motion::Settle => {
+                return Plan { parts: vec![self.part(Kind::Fall, SETTLE_WAITS)], pitch_deg: 0.0 };
+            }
             Motion::Level => (0.0, 0.0, 0),
             Motion::Act(action) => {
                 let to_deg = pitch_deg + action.incline_change_deg;
@@ -163,26 +169,28 @@ impl Spoon {
         let strokes = if shake_mm > 0.0 { strokes } else { 0 };
         let mut kinds = Vec::new();
         if to_deg != pitch_deg {
-            kinds.push((Kind::Incline { from_deg: pitch_deg, to_deg }, strokes == 0));
+            let waits = if strokes == 0 { 1.0 } else { 0.0 };
+            kinds.push((Kind::Incline { from_deg: pitch_deg, to_deg }, waits));
         }
         let shake = Kind::Shake { pitch_deg: to_deg, amplitude_m: shake_mm * 1e-3 };
-        kinds.extend((0..strokes).map(|_| (shake, true)));
-        let parts = kinds.into_iter().map(|(kind, rests)| self.part(kind, rests)).collect();
+        kinds.extend((0..strokes).map(|_| (shake, 1.0)));
+        let parts = kinds.into_iter().map(|(kind, waits)| self.part(kind, waits)).collect();
         Plan { parts, pitch_deg: to_deg }
     }
 
-    fn part(&self, kind: Kind, rests: bool) -> Part {
+    /// A motion and then, at most, so many of the longest waits for rest.
+    fn part(&self, kind: Kind, waits: f64) -> Part {
         let (duration_s, moments) = self.moments(kind);
         let body = |(pose, acceleration)| {
             let body = motion::body(&self.law, pose, acceleration);
             [body[0], body[2]]
         };
-        let slices = self.law.substeps(self.settings.settle_max_s).div_ceil(SLICE);
+        let slices = self.law.substeps(waits * self.settings.settle_max_s).div_ceil(SLICE);
         Part {
             body: moments.into_iter().map(body).collect(),
             duration_s,
             standing: body((standing(kind), 0.0)),
-            rest_max: if rests { slices * SLICE } else { 0 },
+            rest_max: slices * SLICE,
             kind,
         }
     }
@@ -201,6 +209,9 @@ impl Spoon {
                 let (duration, motion) =
                     motion::shake(&self.settings, &self.law, pitch_deg, amplitude_m);
                 (duration, times(duration).map(motion).collect())
+            }
+            Kind::Fall => {
+                (self.fall_s, times(self.fall_s).map(|_| (Pose::default(), 0.0)).collect())
             }
         }
     }
@@ -241,7 +252,11 @@ impl Spoon {
 
 /// The pose after a motion.
 fn standing(kind: Kind) -> Pose {
-    let (Kind::Incline { to_deg: pitch_deg, .. } | Kind::Shake { pitch_deg, .. }) = kind;
+    let pitch_deg = match kind {
+        Kind::Incline { to_deg, .. } => to_deg,
+        Kind::Shake { pitch_deg, .. } => pitch_deg,
+        Kind::Fall => 0.0,
+    };
     Pose { pitch_rad: pitch_deg.to_radians(), ..Pose::default() }
 }
 
@@ -262,6 +277,7 @@ impl Dispenser {
             slice: SLICE,
             rest_speed: (REST_M_S * law.substep_s / law.diameter_m) as f32,
             quiet: law.substeps(REST_S),
+            fall_s: self.fall_s,
         })
     }
 
@@ -294,6 +310,7 @@ impl Dispenser {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Poured;
     use super::*;
     use flip_core::domain::bench::Action;
     use flip_core::domain::parameters::ParameterSet;
@@ -302,11 +319,12 @@ mod tests {
     fn a_plan_carried_out_by_hand_pours_what_a_step_pours() {
         let settings =
             Settings { particles: 300, semi_axes_mm: [2.4, 1.7, 1.0], ..Default::default() };
-        let mut stepped = Dispenser::new(&ParameterSet::default(), &settings, 3);
+        let mut stepped = Dispenser::loose(&ParameterSet::default(), &settings, 3);
         let mut driven = stepped.clone();
         let spoon = driven.spoon().expect("no mechanisms");
         let mut pitch_deg = 0.0;
         for motion in [
+            Motion::Settle,
             Motion::Act(Action::once(8.0, 0.0)),
             Motion::Act(Action::once(8.0, 9.0)),
             Motion::Act(Action { strokes: 2, ..Action::once(8.0, 12.0) }),
@@ -315,6 +333,7 @@ mod tests {
             let poured = match motion {
                 Motion::Act(action) => stepped.step(action),
                 Motion::Level => stepped.level(),
+                Motion::Settle => Poured { duration_s: stepped.settle(), ..Poured::default() },
             };
             let plan = spoon.plan(pitch_deg, motion);
             pitch_deg = plan.pitch_deg;
@@ -346,7 +365,8 @@ mod tests {
                 }
                 duration_s += part.duration_s + f64::from(spent) * spoon.substep_s;
             }
-            let [vial, spilled] = spoon.landed(&plan, &departed);
+            let settles = matches!(motion, Motion::Settle);
+            let [vial, spilled] = if settles { [0; 2] } else { spoon.landed(&plan, &departed) };
             assert!((poured.vial_mg - f64::from(vial) * spoon.grain_mg).abs() < 1e-9);
             assert!((poured.spilled_mg - f64::from(spilled) * spoon.grain_mg).abs() < 1e-9);
             assert!((poured.duration_s - duration_s).abs() < 1e-9);
