@@ -21,10 +21,9 @@
 use flip_core::domain::bench::Action;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
-use flip_core::stats::summary::{mean, sd};
-use flip_experiments::calibrated::Calibrated;
+use flip_experiments::orders::{Run, TARGETS_MG, Weighed, of_all_orders, picture, read, tell};
 use flip_learn::train::environment::{Filling, Spoon, play};
-use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Subject, Weighing, evaluate};
+use flip_learn::train::evaluate::{Contender, Dose, Evaluation, Plan, Weighing, evaluate};
 use flip_learn::train::{
     Event, Level, Network, Order, Preset, Replayed, Settings, Start, Surrogate, train_on,
 };
@@ -34,8 +33,6 @@ use flip_policy::{
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -44,15 +41,8 @@ use std::time::Instant;
 
 /// Doses of a policy for each powder and target.
 const REPEATS: u32 = 40;
-/// Targets, mg.
-const TARGETS_MG: [f64; 4] = [5.0, 10.0, 15.0, 20.0];
-/// Episodes averaged per point of a curve.
-const WINDOW: usize = 100;
-/// Parameter sets of a powder used for training; the others are weighed.
-const TRAINED: usize = 7;
 /// Powders in our own trainings.
 const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
-const COLOURS: [&str; 4] = ["#0b7a75", "#5b6c8f", "#c77d0a", "#a4243b"];
 
 /// A comparison: named settings, each trained with several seeds.
 struct Study {
@@ -63,53 +53,19 @@ struct Study {
     on_angles: bool,
 }
 
-/// A training and its policy's weighing results.
-#[derive(Default, Serialize, Deserialize)]
-struct Run {
-    study: String,
-    name: String,
-    seed: u64,
-    episodes: u32,
-    /// Mean absolute error of each [`WINDOW`] episodes, exploring, mg.
-    curve_mg: Vec<f64>,
-    /// Episodes at which the level changed, and why.
-    switches: Vec<policy::Switch>,
-    /// Mean absolute error of the policy by powder, mg.
-    mae_mg: BTreeMap<String, f64>,
-    /// Over all doses, mg.
-    mae_all_mg: f64,
-    /// Over all doses with sampled actions in place of the policy's mean, mg.
-    drawn_mg: f64,
-    /// Share of all doses more than 1 mg too high.
-    over_share: f64,
-    /// Mean number of shakes.
-    shakes: f64,
-    /// Duration of the training, s; several ran at once.
-    seconds: f64,
-}
-
 /// The settings that a study compares.
 fn study(name: &str, episodes: u32, seed: u64) -> anyhow::Result<Study> {
-    let orders = |preset, change: &dyn Fn(&mut Settings)| -> Vec<(String, Settings)> {
-        let of = |(order, name): (Order, &str)| {
-            let mut settings = Settings { episodes, ..Settings::of(preset, order, seed) };
-            change(&mut settings);
-            (name.to_owned(), settings)
-        };
-        let all = [
-            (Order::Curriculum, "curriculum"),
-            (Order::Random, "random"),
-            (Order::DomainRandomisation, "domain-randomisation"),
-            (Order::Reverse, "reverse"),
-        ];
-        all.into_iter().map(of).collect()
+    let orders = |preset, change: fn(&mut Settings)| {
+        let mut all = of_all_orders(preset, episodes, seed);
+        all.iter_mut().for_each(|(_, settings)| change(settings));
+        all
     };
-    let feed_forward = |settings: &mut Settings| settings.network = Network::FeedForward;
+    let feed_forward: fn(&mut Settings) = |settings| settings.network = Network::FeedForward;
     let spread = if name == "orders-one-spoonful" { 0.0 } else { 1.0 };
     let trainings = match name {
-        "orders" => orders(Preset::Paper, &|_| ()),
-        "orders-feed-forward" | "orders-one-spoonful" => orders(Preset::Paper, &feed_forward),
-        "orders-ours" => orders(Preset::Flip, &|_| ()),
+        "orders" => orders(Preset::Paper, |_| ()),
+        "orders-feed-forward" | "orders-one-spoonful" => orders(Preset::Paper, feed_forward),
+        "orders-ours" => orders(Preset::Flip, |_| ()),
         "gains" => {
             let ours = Settings::of(Preset::Flip, Order::Curriculum, seed);
             let updates_per_step = ours.surrogate_updates_per_step;
@@ -167,13 +123,6 @@ fn gains(base: &Settings) -> Vec<(String, Settings)> {
 enum Weigher<'a> {
     Centre(&'a Controller),
     Drawn(&'a Actor),
-}
-
-/// A powder to be weighed: its sets, and its angle of repose in degrees.
-#[derive(Clone)]
-struct Weighed {
-    subject: Subject,
-    repose_deg: f64,
 }
 
 /// One dose from a surrogate spoon, with steps and ending by the rules.
@@ -268,111 +217,12 @@ fn run(
     let found = weigh(&controller, powders, settings, spread, false)?;
     let drawn = weigh(&controller, powders, settings, spread, true)?;
     Ok(Run {
-        curve_mg: errors.chunks(WINDOW).filter_map(mean).collect(),
+        curve_mg: Run::curve(&errors),
         switches: trained.manifest.switches,
+        drawn_mg: drawn.summary[0].mae_mg,
         seconds,
-        ..Run::of(&found, &drawn)
+        ..Run::of(&found, "")
     })
-}
-
-impl Run {
-    /// From an evaluation, and the same with sampled actions; names and training are filled in
-    /// later.
-    fn of(found: &Evaluation, drawn: &Evaluation) -> Self {
-        let mut by_powder: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-        for row in &found.rows {
-            by_powder.entry(row.powder.clone()).or_default().push(row.mae_mg);
-        }
-        let summary = &found.summary[0];
-        Self {
-            mae_mg: by_powder
-                .into_iter()
-                .map(|(powder, errors)| (powder, mean(&errors).unwrap_or(0.0)))
-                .collect(),
-            mae_all_mg: summary.mae_mg,
-            drawn_mg: drawn.summary[0].mae_mg,
-            over_share: summary.over_share,
-            shakes: summary.shakes_mean,
-            ..Self::default()
-        }
-    }
-}
-
-/// Mean and standard deviation over the seeds.
-fn over_seeds(values: &[f64]) -> String {
-    match sd(values) {
-        Some(sd) => format!("{:.2} ± {sd:.2}", mean(values).unwrap_or(0.0)),
-        None => format!("{:.2}", mean(values).unwrap_or(0.0)),
-    }
-}
-
-fn tell(names: &[String], runs: &[Run]) {
-    let powders: BTreeSet<&String> = runs.iter().flat_map(|run| run.mae_mg.keys()).collect();
-    let header: Vec<&str> = powders.iter().map(|powder| powder.as_str()).collect();
-    println!(
-        "| training | seeds | last {WINDOW} episodes mg | policy mg | lowest last, its policy mg | drawn mg | {} | over % | shakes | s |",
-        header.join(" | ")
-    );
-    println!("|{}", "---|".repeat(9 + header.len()));
-    for name in names {
-        let of: Vec<&Run> = runs.iter().filter(|run| run.name == *name).collect();
-        let each = |value: &dyn Fn(&Run) -> f64| {
-            over_seeds(&of.iter().map(|run| value(run)).collect::<Vec<_>>())
-        };
-        let last = |run: &Run| run.curve_mg.last().copied().unwrap_or(0.0);
-        let chosen =
-            of.iter().min_by(|a, b| last(a).total_cmp(&last(b))).map_or(0.0, |run| run.mae_all_mg);
-        let by_powder: Vec<String> =
-            powders.iter().map(|powder| each(&|run| run.mae_mg[*powder])).collect();
-        println!(
-            "| {name} | {} | {} | {} | {chosen:.2} | {} | {} | {} | {} | {:.0} |",
-            of.len(),
-            each(&last),
-            each(&|run| run.mae_all_mg),
-            each(&|run| run.drawn_mg),
-            by_powder.join(" | "),
-            each(&|run| 100.0 * run.over_share),
-            each(&|run| run.shakes),
-            mean(&of.iter().map(|run| run.seconds).collect::<Vec<_>>()).unwrap_or(0.0)
-        );
-    }
-}
-
-/// The training error over the episodes, mean over the seeds, as SVG.
-fn picture(names: &[String], runs: &[Run], episodes: u32) -> String {
-    let (wide, high, top_mg) = (600.0, 260.0, 12.0);
-    let mut svg = "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 820 320\" font-family=\"sans-serif\" font-size=\"13\">\n\
-                   <title>Training error over the episodes, mg, mean over the seeds</title>\n"
-        .to_owned();
-    for mg in [0, 3, 6, 9, 12] {
-        let y = 20.0 + high * (1.0 - f64::from(mg) / top_mg);
-        svg += &format!(
-            "<path d=\"M50 {y:.1}h{wide}\" stroke=\"#ccc\"/><text x=\"42\" y=\"{:.1}\" text-anchor=\"end\">{mg}</text>\n",
-            y + 4.0
-        );
-    }
-    for (k, (name, colour)) in names.iter().zip(COLOURS).enumerate() {
-        let curves: Vec<&Vec<f64>> =
-            runs.iter().filter(|run| run.name == *name).map(|run| &run.curve_mg).collect();
-        let points = curves.iter().map(|curve| curve.len()).min().unwrap_or(0);
-        let line: Vec<String> = (0..points)
-            .map(|k| {
-                let mg =
-                    mean(&curves.iter().map(|curve| curve[k]).collect::<Vec<_>>()).unwrap_or(0.0);
-                let x =
-                    50.0 + wide * ((k as f64 + 0.5) * WINDOW as f64 / f64::from(episodes)).min(1.0);
-                format!("{x:.1},{:.1}", 20.0 + high * (1.0 - (mg / top_mg).min(1.0)))
-            })
-            .collect();
-        svg += &format!(
-            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"/>\n",
-            line.join(" ")
-        );
-        svg += &format!("<text x=\"660\" y=\"{}\" fill=\"{colour}\">{name}</text>\n", 40 + 20 * k);
-    }
-    svg + &format!(
-        "<text x=\"50\" y=\"300\">0</text><text x=\"650\" y=\"300\" text-anchor=\"end\">{episodes} episodes</text>\n<text transform=\"translate(14 150) rotate(-90)\" text-anchor=\"middle\">error mg</text>\n</svg>\n"
-    )
 }
 
 /// The rules and the dispenser, which do not learn, on the doses of our trainings.
@@ -383,42 +233,10 @@ fn references(powders: &[Weighed], settings: &Settings) -> anyhow::Result<Vec<Ru
     ];
     let weighed = |(name, controller): &(&str, Controller)| {
         let found = weigh(controller, powders, settings, 1.0, false)?;
-        Ok(Run { name: (*name).to_owned(), ..Run::of(&found, &found) })
+        let drawn_mg = found.summary[0].mae_mg;
+        Ok(Run { name: (*name).to_owned(), drawn_mg, ..Run::of(&found, "") })
     };
     all.iter().map(weighed).collect()
-}
-
-/// The levels and the powders in these files.
-fn read(files: &[String], on_angles: bool) -> anyhow::Result<(Vec<Level>, Vec<Weighed>)> {
-    let (mut levels, mut powders) = (Vec::new(), Vec::new());
-    for file in files {
-        let calibrated: Calibrated = serde_json::from_slice(&std::fs::read(file)?)?;
-        for found in calibrated.powders {
-            let sets: Vec<ParameterSet> =
-                found.sets.into_iter().map(|set| set.parameters).collect();
-            let (trained, others) = sets.split_at(sets.len().min(TRAINED));
-            let (is_angle, repose_deg) = (found.powder.is_empty(), found.target_deg);
-            let powder = if is_angle { format!("repose_{repose_deg}") } else { found.powder };
-            if is_angle == on_angles && (is_angle || POWDERS.contains(&powder.as_str())) {
-                levels.push(Level { powder: powder.clone(), repose_deg, sets: trained.to_vec() });
-            }
-            if !is_angle {
-                anyhow::ensure!(
-                    !others.is_empty(),
-                    "{powder} needs more than {TRAINED} sets: flip calibrate --sets 10"
-                );
-                powders.push(Weighed {
-                    subject: Subject { powder, sets: others.to_vec() },
-                    repose_deg,
-                });
-            }
-        }
-    }
-    anyhow::ensure!(
-        !levels.is_empty() && !powders.is_empty(),
-        "name files with bare angles and a file with powders"
-    );
-    Ok((levels, powders))
 }
 
 fn main() -> anyhow::Result<()> {
@@ -429,7 +247,8 @@ fn main() -> anyhow::Result<()> {
     let (seeds, episodes): (u64, u32) = (seeds.parse()?, episodes.parse()?);
     let (name, only) =
         name.split_once(':').map_or((name.as_str(), None), |(name, only)| (name, Some(only)));
-    let (levels, powders) = read(files, study(name, episodes, 1)?.on_angles)?;
+    let on_powders = (!study(name, episodes, 1)?.on_angles).then_some(&POWDERS[..]);
+    let (levels, powders) = read(files, on_powders)?;
     let known = std::fs::read_to_string(out).unwrap_or_default();
     let mut runs: Vec<Run> = known.lines().map(serde_json::from_str).collect::<Result<_, _>>()?;
     runs.retain(|run| run.study == name && run.episodes == episodes && run.seed <= seeds);
