@@ -8,27 +8,18 @@
 //! On PostgreSQL (`FLIP_TEST_DATABASE=postgres`) one third of the faults are such kills, one third
 //! crashes of the database and one third cuts of the network between the two.
 
-use flip_core::domain::bench::Action;
-use flip_testing::Cluster;
-use flip_testing::cable::Cable;
-use serde::Deserialize;
-use serde_json::{Value, json};
-use std::cell::{RefCell, RefMut};
-use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+mod laboratory;
+mod service;
+
+use laboratory::{Laboratory, Motion};
+use service::{Database, Service, calibrate};
+use std::time::Duration;
 use tempfile::TempDir;
 
 /// Kills in `make test`, on SQLite and on PostgreSQL, where a cut network is waited for.
 const KILLS: [u64; 2] = [30, 16];
 /// Laboratories whose services are killed in parallel: a dose is mostly waiting.
 const LABORATORIES: u64 = 8;
-/// Longest wait for anything.
-const PATIENCE: Duration = Duration::from_secs(120);
-/// Bench seconds per wall-clock second.
-const SPEED: &str = "20";
 const TARGET_MG: f64 = 12.0;
 const TOLERANCE_MG: f64 = 1.0;
 /// Masses that differ by less are equal up to rounding, mg.
@@ -46,148 +37,6 @@ const DISPLAY_MG: f64 = 4.0 * std::f64::consts::SQRT_2 * 0.5 + 0.5;
 const ENDS_WITHIN_MS: u64 = 20_000;
 /// Shakes that may be recorded after a kill: one in progress, and one that had just ended.
 const LAST_SHAKES: usize = 2;
-
-/// A process that is killed when it is dropped.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// Starts `flip` and reads the first document it prints.
-fn started(arguments: &[&str]) -> (Process, Value) {
-    let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
-        .args(arguments)
-        .arg("--json")
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let stdout = process.stdout.take().unwrap();
-    let said = serde_json::Deserializer::from_reader(stdout).into_iter::<Value>().next();
-    (Process(process), said.expect("it says where it is").unwrap())
-}
-
-/// One motion of the arm, complete or not.
-#[derive(Debug, Clone, Deserialize)]
-struct Motion {
-    motion: String,
-    /// Pitch at its end, deg.
-    pitch_deg: f64,
-    /// Mass that fell during it, mg.
-    poured_mg: f64,
-    /// Powder in the vial when it was recorded, mg.
-    vial_mg: f64,
-}
-
-impl Motion {
-    /// The requested amplitude, if it is a shake, mm.
-    fn shake_mm(&self) -> Option<f64> {
-        Some(self.motion.strip_prefix("Shake(")?.strip_suffix(')')?.parse().expect("an amplitude"))
-    }
-}
-
-/// The arm's motions, read on from where the last read ended: the file grows by every motion of
-/// every dose.
-struct Motions {
-    file: BufReader<File>,
-    unfinished: String,
-    made: Vec<Motion>,
-}
-
-impl Motions {
-    fn open(path: &Path) -> Self {
-        let file = File::options().create(true).append(true).read(true).open(path).unwrap();
-        Self { file: BufReader::new(file), unfinished: String::new(), made: Vec::new() }
-    }
-
-    fn read_on(&mut self) {
-        while self.file.read_line(&mut self.unfinished).unwrap() > 0
-            && self.unfinished.ends_with('\n')
-        {
-            self.made.push(serde_json::from_str(&self.unfinished).unwrap());
-            self.unfinished.clear();
-        }
-    }
-}
-
-/// The emulated laboratory: its bench file and its arm's motions.
-struct Laboratory {
-    _process: Process,
-    bench: PathBuf,
-    motions: RefCell<Motions>,
-}
-
-impl Laboratory {
-    fn start(folder: &Path) -> Self {
-        let (bench, motions) = (folder.join("bench.toml"), folder.join("motions.jsonl"));
-        let out = [bench.to_str().unwrap(), motions.to_str().unwrap()];
-        let lab =
-            ["emulate", "lab", "--formula", "--speed", SPEED, "--out", out[0], "--motions", out[1]];
-        let (process, _) = started(&lab);
-        Self { _process: process, bench, motions: RefCell::new(Motions::open(&motions)) }
-    }
-
-    /// Every motion recorded so far.
-    fn motions(&self) -> RefMut<'_, Motions> {
-        let mut motions = self.motions.borrow_mut();
-        motions.read_on();
-        motions
-    }
-
-    /// Pitch of the spoon, deg.
-    fn pitch_deg(&self) -> f64 {
-        self.motions().made.last().map_or(0.0, |motion| motion.pitch_deg)
-    }
-
-    /// Number of shakes from this motion on.
-    fn shakes_since(&self, first: usize) -> usize {
-        self.motions().made[first..].iter().filter_map(Motion::shake_mm).count()
-    }
-
-    /// Powder in the vial, mg.
-    fn vial_mg(&self) -> f64 {
-        self.motions().made.last().map_or(0.0, |motion| motion.vial_mg)
-    }
-
-    /// Waits until nothing has moved for the time that the dead-man and the way back take; returns
-    /// the number of motions made by then.
-    fn wait_until_still(&self) -> usize {
-        let mut count = self.motions().made.len();
-        let mut since = Instant::now();
-        while since.elapsed() < Duration::from_millis(1200) {
-            std::thread::sleep(Duration::from_millis(20));
-            let now = self.motions().made.len();
-            if now != count {
-                (count, since) = (now, Instant::now());
-            }
-        }
-        count
-    }
-}
-
-/// A server of PostgreSQL of one laboratory, and the cable to it.
-struct Database {
-    cluster: Cluster,
-    cable: Cable,
-    url: String,
-}
-
-impl Database {
-    /// None on SQLite.
-    async fn start(folder: &Path) -> Option<Self> {
-        if !flip_testing::on_postgres() {
-            return None;
-        }
-        let cluster = Cluster::start(false).unwrap_or_else(|why| panic!("{why}"));
-        let cable = cluster.cable();
-        let url = cable.address(&cluster.database_of(folder).await);
-        Some(Self { cluster, cable, url })
-    }
-}
 
 /// What happens to a dose before its service is killed.
 #[derive(Debug, Clone, Copy)]
@@ -241,138 +90,6 @@ impl Fault {
                 }
             }
         }
-    }
-}
-
-/// The service, which is killed and restarted.
-struct Service {
-    process: Process,
-    url: String,
-    client: reqwest::Client,
-    token: String,
-}
-
-impl Service {
-    fn start(
-        folder: &Path,
-        laboratory: &Laboratory,
-        database: Option<&Database>,
-        token: Option<String>,
-    ) -> Self {
-        let data = folder.join("data");
-        let bench = laboratory.bench.to_str().unwrap();
-        let serve = [
-            "serve",
-            "--listen",
-            "127.0.0.1:0",
-            "--bench",
-            bench,
-            "--data-dir",
-            data.to_str().unwrap(),
-        ];
-        let database = database.iter().flat_map(|it| ["--database-url", &it.url]);
-        let serve: Vec<&str> = serve.into_iter().chain(database).collect();
-        let (process, said) = started(&serve);
-        let url = said["url"].as_str().unwrap().to_owned();
-        let token = token.or_else(|| said["token"].as_str().map(str::to_owned)).expect("a token");
-        flip_testing::speak_tls();
-        Self { process, url, client: reqwest::Client::new(), token }
-    }
-
-    /// SIGKILL: no destructor, no final output.
-    fn kill(mut self) -> String {
-        self.process.0.kill().unwrap();
-        self.process.0.wait().unwrap();
-        self.token
-    }
-
-    /// Asks until there is an answer: a crashed database is there again in a moment.
-    async fn get(&self, path: &str) -> Value {
-        let deadline = Instant::now() + PATIENCE;
-        loop {
-            let answer = self.client.get(format!("{}{path}", self.url)).send().await.unwrap();
-            if answer.status().is_success() {
-                return answer.json().await.unwrap();
-            }
-            let status = answer.status();
-            assert!(Instant::now() < deadline, "{path}: {status} {}", answer.text().await.unwrap());
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-    }
-
-    async fn post(&self, path: &str, key: Option<&str>, body: &Value) -> (u16, Value) {
-        let request =
-            self.client.post(format!("{}{path}", self.url)).bearer_auth(&self.token).json(body);
-        let request =
-            key.into_iter().fold(request, |request, key| request.header("Idempotency-Key", key));
-        let response = request.send().await.unwrap();
-        (response.status().as_u16(), response.json().await.unwrap())
-    }
-
-    async fn weigh(&self, key: &str) -> (u16, Value) {
-        let mg = |value: f64| json!({"value": value, "unit": "mg"});
-        let tolerance = json!({"lower": TOLERANCE_MG, "upper": TOLERANCE_MG, "unit": "mg"});
-        self.post(
-            "/v1/weighings",
-            Some(key),
-            &json!({"powder": "sand", "target": mg(TARGET_MG), "tolerance": tolerance, "vial_check": "skip"}),
-        )
-        .await
-    }
-
-    async fn state(&self, id: &str) -> String {
-        self.get(&format!("/v1/weighings/{id}")).await["weighing"]["state"]
-            .as_str()
-            .unwrap()
-            .to_owned()
-    }
-
-    async fn has_ended(&self, id: &str) -> bool {
-        ["done", "aborted", "unknown"].contains(&self.state(id).await.as_str())
-    }
-
-    /// The shakes the guard let through, according to the audit trail, mm.
-    async fn decided_mm(&self, id: &str) -> Vec<f64> {
-        let records = self.get(&format!("/v1/audit.json?weighing={id}")).await;
-        let decisions =
-            records.as_array().unwrap().iter().filter(|record| record["kind"] == "decision");
-        let allowed = decisions.filter_map(|record| {
-            Option::<Action>::deserialize(&record["body"]["allowed"]).unwrap()
-        });
-        allowed
-            .map(|action| action.executed_shake_mm())
-            .filter(|shake_mm| *shake_mm > 0.0)
-            .collect()
-    }
-
-    async fn clear(&self) {
-        let said =
-            json!({"by": "the test", "note": "vial looked at", "looked": true, "vial_ready": true});
-        let (status, body) = self.post("/v1/bench/clear", None, &said).await;
-        assert_eq!(status, 200, "{body}");
-    }
-
-    async fn wait_for(&self, what: &str, id: &str, states: &[&str]) -> String {
-        let deadline = Instant::now() + PATIENCE;
-        loop {
-            let state = self.state(id).await;
-            if states.contains(&state.as_str()) {
-                return state;
-            }
-            assert!(Instant::now() < deadline, "{what}: {state}");
-            tokio::time::sleep(Duration::from_millis(3)).await;
-        }
-    }
-}
-
-/// A powder with sets, from small heaps.
-async fn calibrate(service: &Service) {
-    let heaps = json!({"powder": "sand", "method": "sequential", "sets": 2, "seed": 3, "tolerance_deg": 5, "trials_max": 60, "particles": 400});
-    let (_, job) = service.post("/v1/calibrations", None, &heaps).await;
-    let (id, deadline) = (job["id"].as_str().unwrap().to_owned(), Instant::now() + PATIENCE);
-    while service.get(&format!("/v1/jobs/{id}")).await["state"] != "succeeded" {
-        assert!(Instant::now() < deadline, "the calibration does not end");
-        tokio::time::sleep(Duration::from_millis(50)).await;
     }
 }
 
