@@ -14,7 +14,7 @@ use flip_core::domain::conditions::Patch;
 use flip_core::domain::device::Device;
 use flip_cuda::{Card, GRAINS_MAX};
 use flip_learn::train::evaluate::Dose;
-use flip_sim::batch::{Engine, Failed, Place, side_by_side};
+use flip_sim::batch::{Engine, Failed, Place, Several, side_by_side};
 use flip_sim::dispense;
 use flip_sim::mechanisms::Extensions;
 use std::collections::BTreeSet;
@@ -23,32 +23,39 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
-/// The graphics card of this process.
+/// The graphics cards of this process.
 pub trait Cards: Send + Sync {
-    /// What it is, or why there is none that can be used, in words that end with what to do. Takes no
-    /// memory of the card.
+    /// What they are, or why there is none that can be used, in words that end with what to do. Takes no
+    /// memory of a card.
     fn found(&self) -> Result<String, String>;
 
-    /// Opens it, which takes a second.
+    /// Opens them as one engine, which takes a second for each.
     ///
     /// # Errors
     /// As [`Cards::found`].
     fn open(&self) -> Result<Arc<dyn Engine>, String>;
 }
 
-/// The first card that the driver shows this process (`CUDA_VISIBLE_DEVICES` chooses another).
+/// All cards of one kind that the driver shows this process (`CUDA_VISIBLE_DEVICES` chooses among them).
 #[derive(Debug, Default)]
-pub struct FirstCard(OnceLock<Result<String, String>>);
+pub struct AllCards(OnceLock<Result<String, String>>);
 
-impl Cards for FirstCard {
+impl Cards for AllCards {
     fn found(&self) -> Result<String, String> {
-        let look = || flip_cuda::find(0).map(|it| it.to_string()).map_err(|it| it.to_string());
+        let look = || {
+            let (numbers, kind) = flip_cuda::find_all().map_err(|error| error.to_string())?;
+            let many = numbers.len();
+            Ok(if many > 1 { format!("{many} × {kind}") } else { kind.to_string() })
+        };
         self.0.get_or_init(look).clone()
     }
 
     fn open(&self) -> Result<Arc<dyn Engine>, String> {
-        let card = Card::open(0).map_err(|error| error.to_string())?;
-        Ok(Arc::new(card))
+        let (numbers, _) = flip_cuda::find_all().map_err(|error| error.to_string())?;
+        let open = |number| Card::open(number).map(|card| Arc::new(card) as Arc<dyn Engine>);
+        let cards = numbers.into_iter().map(open).collect::<Result<_, _>>();
+        let cards = cards.map_err(|error| error.to_string())?;
+        Several::of(cards).ok_or_else(|| "there is no card".to_owned())
     }
 }
 

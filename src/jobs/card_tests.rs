@@ -155,7 +155,7 @@ fn what_a_card_lacks_is_refused_by_its_name_and_what_it_has_is_not() {
 
 #[test]
 fn the_first_card_is_looked_for_once_and_opened_or_refused_in_words() {
-    let card = FirstCard::default();
+    let card = AllCards::default();
     match card.found() {
         Ok(name) => println!("skipped: there is {name}"),
         Err(why) => {

@@ -48,7 +48,7 @@ mod stop;
 pub mod train;
 mod worker;
 
-pub use card::{Cards, FirstCard, SideBySide, can_compute};
+pub use card::{AllCards, Cards, SideBySide, can_compute};
 pub use conditions::Conditions;
 pub use crew::{Crew, JobWorker};
 pub use lanes::{KINDS, lane_of};
@@ -108,7 +108,7 @@ impl Default for Functions {
             train: train::simulated(),
             weigh: doses_on_cores(evaluate::simulated),
             rig: Arc::new(Simulated),
-            card: Arc::new(FirstCard::default()),
+            card: Arc::new(AllCards::default()),
         }
     }
 }

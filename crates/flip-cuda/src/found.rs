@@ -30,6 +30,34 @@ impl std::fmt::Display for Found {
     }
 }
 
+/// The numbers of all cards of the first usable one's kind, and what they are. Others are left out:
+/// what is computed must not depend on where.
+///
+/// # Errors
+/// [`CardError`]: no driver, or no card that can run the kernels, and why the first cannot.
+pub fn find_all() -> Result<(Vec<usize>, Found)> {
+    let (mut same, mut first_reason) = (None::<(Vec<usize>, Found)>, None);
+    for number in 0.. {
+        match find(number) {
+            Ok(found) => match &mut same {
+                None => same = Some((vec![number], found)),
+                Some((numbers, kind)) if *kind == found => numbers.push(number),
+                Some(_) => {}
+            },
+            Err(reason) => {
+                let of_this_one =
+                    matches!(reason, CardError::TooOld { .. } | CardError::TooSmall { .. });
+                first_reason.get_or_insert(reason);
+                // Else there are no more, or the driver does not work.
+                if !of_this_one {
+                    break;
+                }
+            }
+        }
+    }
+    same.ok_or_else(|| first_reason.unwrap_or(CardError::NoDriver))
+}
+
 /// The card of this number, counted from 0.
 ///
 /// # Errors

@@ -47,7 +47,7 @@ mod twin;
 
 pub use bed::{Bed, GRAINS_MAX, Refused};
 pub use card::{Card, CardError};
-pub use found::{Found, find};
+pub use found::{Found, find, find_all};
 pub use learner::{Drawn, Learned, Learners, Losses, Shape};
 pub use spoons::{Poured, Spoons};
 

@@ -4,6 +4,7 @@
 //!   settled or loose beds --fill--> places of a Batch --step: one motion each--> how each stands
 //!                                      ^  Cores: rayon over Dispenser, the same bytes on any number of threads
 //!                                      |  flip-cuda: one launch for all, statistics of the same physics
+//!                                      |  Several: its places dealt out to engines of one kind (several.rs)
 //!   procedures that act on one spoon after the other: side_by_side (seats.rs)
 //! ```
 //!
@@ -11,8 +12,10 @@
 //! on the other spoons of the batch.
 
 mod seats;
+mod several;
 
 pub use seats::{Place, Seat, side_by_side};
+pub use several::Several;
 
 use super::dispense::Dispenser;
 use flip_core::domain::bench::{Action, PitchLimits};

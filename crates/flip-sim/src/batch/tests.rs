@@ -17,6 +17,32 @@ fn beds() -> Vec<Arc<Dispenser>> {
     vec![bed(0.3, 1, Dispenser::new), bed(0.6, 2, Dispenser::new), bed(0.3, 3, loose)]
 }
 
+/// Three engines as one.
+fn three() -> Arc<dyn Engine> {
+    let cores: Arc<dyn Engine> = Arc::new(Cores);
+    Several::of(vec![cores.clone(), cores.clone(), cores]).unwrap()
+}
+
+#[test]
+fn engines_as_one_have_the_places_of_all_and_one_alone_stays_itself() {
+    assert!(Several::of(Vec::new()).is_none());
+    assert_eq!(Several::of(vec![Arc::new(Cores)]).unwrap().name(), Cores.name());
+    assert_eq!(three().name(), "3 × the processor");
+    assert_eq!(three().places(), 3 * Cores.places());
+    // A batch of fewer places than engines leaves some of them out.
+    for places in [1, 2, 3, 5] {
+        assert_eq!(three().batch(places).unwrap().places(), places);
+    }
+    let broken = |place: usize| {
+        let beds = beds();
+        let mut batch = three().batch(5).unwrap();
+        let all: Vec<_> = (0..5).map(|k| (k, &*beds[k % 2])).collect();
+        batch.fill(&all).unwrap();
+        batch.step(&[(place, motions(0)[0]), (5, motions(0)[0])]).unwrap_err()
+    };
+    assert!(broken(4).0.contains("place 5 was named, and there are 5"));
+}
+
 /// The motions of spoon `k`: it settles if it is loose, then as many actions as its number and three.
 fn motions(k: usize) -> Vec<Motion> {
     let act = |n: usize| Motion::Act(Action::once(8.0, (2 * n + k % 3) as f64));
@@ -47,23 +73,25 @@ fn a_batch_on_cores_gives_the_bytes_of_each_spoon_alone_on_any_number_of_threads
     for threads in [1, 2, 5] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mut batch = Cores.batch(4).unwrap();
-            // Filled again: what was poured before does not count.
-            batch.fill(&[(3, &beds[1]), (0, &beds[0]), (1, &beds[2])]).unwrap();
-            batch.step(&[(1, motions(0)[1])]).unwrap();
-            batch.fill(&[(1, &beds[1]), (3, &beds[2])]).unwrap();
-            let places = [0, 1, 3];
-            let mut given: Vec<Vec<Stand>> = vec![Vec::new(); 3];
-            for step in 0..7 {
-                let still = |k: &usize| step < motions(*k).len();
-                // From the last to the first: answers are in the order of the motions.
-                let asked: Vec<usize> = (0..3).rev().filter(still).collect();
-                let all: Vec<_> = asked.iter().map(|k| (places[*k], motions(*k)[step])).collect();
-                for (k, stand) in asked.into_iter().zip(batch.step(&all).unwrap()) {
-                    given[k].push(stand);
+            for mut batch in [Cores.batch(4).unwrap(), three().batch(4).unwrap()] {
+                // Filled again: what was poured before does not count.
+                batch.fill(&[(3, &beds[1]), (0, &beds[0]), (1, &beds[2])]).unwrap();
+                batch.step(&[(1, motions(0)[1])]).unwrap();
+                batch.fill(&[(1, &beds[1]), (3, &beds[2])]).unwrap();
+                let places = [0, 1, 3];
+                let mut given: Vec<Vec<Stand>> = vec![Vec::new(); 3];
+                for step in 0..7 {
+                    let still = |k: &usize| step < motions(*k).len();
+                    // From the last to the first: answers are in the order of the motions.
+                    let asked: Vec<usize> = (0..3).rev().filter(still).collect();
+                    let all: Vec<_> =
+                        asked.iter().map(|k| (places[*k], motions(*k)[step])).collect();
+                    for (k, stand) in asked.into_iter().zip(batch.step(&all).unwrap()) {
+                        given[k].push(stand);
+                    }
                 }
+                assert_eq!(given, expected);
             }
-            assert_eq!(given, expected);
         });
     }
 }
@@ -82,8 +110,13 @@ fn a_loose_heap_that_settles_is_a_filled_spoon() {
 
 #[test]
 fn places_are_named_once_and_exist_and_hold_a_spoon() {
+    for batch in [Cores.batch(2).unwrap(), three().batch(2).unwrap()] {
+        are_named_once_and_exist_and_hold_a_spoon(batch);
+    }
+}
+
+fn are_named_once_and_exist_and_hold_a_spoon(mut batch: Box<dyn Batch>) {
     let beds = beds();
-    let mut batch = Cores.batch(2).unwrap();
     let act = motions(0)[0];
     assert!(batch.fill(&[(2, &beds[0])]).unwrap_err().0.contains("there are 2"));
     assert!(batch.step(&[(0, act)]).unwrap_err().0.contains("place 0 is empty"));
