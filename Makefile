@@ -15,6 +15,7 @@
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped; not run whole yet (ARGS='4 2': 4 % of the faults, seed)
 # make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, an evaluation and a training by the commands; without a card it says so; not run whole yet (ARGS=speed)
+# make published-experiment   four orders, five seeds, 4000 episodes each, in the simulator on a graphics card, and doses with all policies: a quarter of an hour, stop it and call it again (STUDY=feed-forward ARGS=seconds=600)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
 # make pictures   the pictures of the page in README and docs, of doses it has weighed on the emulated bench: about five minutes
@@ -28,7 +29,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults gpu-report slim page-report pictures proto dist lint check tidy
+.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults gpu-report published-experiment slim page-report pictures proto dist lint check tidy
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -190,6 +191,15 @@ gpu-report: setup
 	cargo run --release --locked -p flip-cuda --example gpu_report -- $(ARGS)
 	cargo build --release --locked
 	.ci/gpu_report.sh "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
+
+STUDY ?= published
+published-experiment: setup
+	cargo build --release --locked
+	data="$${DATA:-$(CURDIR)/target/published-experiment}"; mkdir -p "$$data"
+	calibrated() { [ -e "$$data/$$1.json" ] || { cargo run --quiet --release --locked -- calibrate --data-dir "$$data/flip" --method sequential --json "$${@:2}" > "$$data/new"; mv "$$data/new" "$$data/$$1.json"; }; }
+	for angle in 28 33 37; do calibrated "$$angle" --repose-deg "$$angle"; done
+	calibrated powders --powder all
+	CUDA_DEVICE_MAX_CONNECTIONS=32 cargo experiment published_experiment -- $(STUDY) "$$data/$(STUDY)" 5 4000 "$$data"/{28,33,37,powders}.json $(ARGS)
 
 # What has training stays where it was.
 slim: setup

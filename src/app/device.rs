@@ -16,7 +16,7 @@ impl App {
     ///
     /// # Errors
     /// `Invalid`, `device`: what was found instead of a card, and what to do.
-    pub(super) async fn check_device(&self, kind: JobKind, device: Device) -> Result<()> {
+    pub async fn check_device(&self, kind: JobKind, device: Device) -> Result<()> {
         if device.is_cpu() {
             return Ok(());
         }

@@ -4,6 +4,7 @@
 use super::Common;
 use super::benches::BenchArguments;
 use super::calibrate::{Search, Target, calibrate};
+use super::device::DeviceArguments;
 use super::failure::Failure;
 use super::lab::Lab;
 use super::serve::{self, Address};
@@ -19,6 +20,7 @@ use crate::app::{
     WeighingRequest, Who, Workers, acting,
 };
 use crate::telemetry;
+use flip_core::domain::job::JobKind;
 use flip_core::domain::powder::PUBLISHED;
 use serde::Serialize;
 use std::time::Instant;
@@ -39,6 +41,8 @@ pub(super) struct Arguments {
     /// Training episodes [default: as for `flip train`].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     episodes: Option<u32>,
+    #[command(flatten)]
+    device: DeviceArguments,
     #[command(flatten)]
     search: Search,
     #[command(flatten)]
@@ -95,7 +99,12 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         let app = App::open(common.storage()?, options).await?;
         // Cancelled when the service is to end, and by the service when it ends by itself.
         let stop = CancellationToken::new();
-        let service = match serve(&app, arguments, &stop) {
+        // Before the minutes that come before the training.
+        let begun = match app.check_device(JobKind::Training, arguments.device.device()).await {
+            Ok(()) => serve(&app, arguments, &stop),
+            Err(refused) => Err(refused.into()),
+        };
+        let service = match begun {
             Ok(service) => service,
             Err(failure) => {
                 app.shutdown().await?;
@@ -257,6 +266,7 @@ async fn learn(
         preset: Preset::Flip,
         episodes: arguments.episodes,
         seed: Some(common.seed),
+        device: arguments.device.device(),
         ..Default::default()
     };
     let training = train(lab, watch, request).await?;

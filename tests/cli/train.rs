@@ -47,6 +47,8 @@ fn a_card_that_is_not_there_is_refused_before_anything_is_calibrated_here_and_by
     for command in ["train", "evaluate"] {
         refused(folder.path(), &[command, "--device", "cuda"]);
     }
+    let demonstration = ["demo", "--exit", "--listen", "127.0.0.1:0", "--device", "cuda"];
+    refused(folder.path(), &demonstration);
     expect_status(&flip(folder.path(), &["evaluate", "--device", "abacus"]), 2);
     let service = Service::start(folder.path());
     for command in ["train", "evaluate"] {

@@ -3,9 +3,11 @@
 //!
 //! ```text
 //! for angle in 28 33 37; do flip calibrate --repose-deg $angle --method sequential --json > $angle.json; done
-//! flip calibrate --powder all --json > powders.json
-//! cargo experiment published_experiment -- published runs 5 4000 28.json 33.json 37.json powders.json seconds=600
+//! flip calibrate --powder all --method sequential --json > powders.json
+//! CUDA_DEVICE_MAX_CONNECTIONS=32 cargo experiment published_experiment -- published runs 5 4000 28.json 33.json 37.json powders.json seconds=600
 //! ```
+//!
+//! (`make published-experiment`. With fewer connections than trainings, some wait for others' spoons.)
 //!
 //! `published` is the `paper` preset with its recurrent network, `feed-forward` the same with a
 //! feed-forward network of the same width, `ours` our own preset without its surrogate. The spoons of
@@ -290,6 +292,10 @@ fn main() -> anyhow::Result<()> {
     let (seeds, episodes): (u64, u32) = (seeds.parse()?, episodes.parse()?);
     let (seconds, round) = (option("seconds", u32::MAX)?, option("round", 32)?);
     let repeats = option("repeats", 20)?;
+    if let Err(reason) = flip_cuda::find(0) {
+        println!("skipped: {reason}");
+        return Ok(());
+    }
     let until = Instant::now() + std::time::Duration::from_secs(seconds.into());
     let folder = Path::new(folder);
     std::fs::create_dir_all(folder)?;
