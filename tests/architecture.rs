@@ -5,17 +5,18 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Room, and the rooms it may name; a room may always name itself. A crate of one room is not here: its manifest says what it may name.
-const ARROWS: [(&str, &[&str]); 25] = [
+const ARROWS: [(&str, &[&str]); 26] = [
     ("domain", &[]),
     ("stats", &[]),
     ("card", &["domain", "stats"]),
+    ("learner", &[]),
     ("hardware", &["domain"]),
     ("emulate", &["domain", "stats", "sim", "hardware"]),
     ("pile", &["domain", "stats", "hardware"]),
     ("weigh", &["domain", "stats", "hardware", "policy"]),
     ("rig", &["domain", "sim", "policy", "hardware", "emulate", "weigh"]),
     ("calibrate", &["domain", "stats"]),
-    ("train", &["domain", "sim", "policy", "stats"]),
+    ("train", &["domain", "learner", "sim", "policy", "stats"]),
     (
         "jobs",
         &[

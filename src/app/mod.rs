@@ -77,7 +77,7 @@ pub use crate::jobs::evaluate::EvaluationResult;
 pub use crate::jobs::film::{FilmHead, FilmResult, HeapHead, HeapRing, StepSeen};
 pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
-pub use crate::jobs::train::{Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
+pub use crate::jobs::train::{Gradients, Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::jobs::{Conditions, Crew, Functions, Workers, compute_on, give_way_to_the_bench};
 pub(crate) use agent::agent;
 pub use asked::asked_after;

@@ -5,7 +5,8 @@ use super::jobs::{corrupt, specification, stored};
 use super::{App, Error, Result};
 use crate::jobs::spoon::measured;
 use crate::jobs::train::{
-    Extended, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings, TrainingResult,
+    Extended, Gradients, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings,
+    TrainingResult,
 };
 use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec, can_compute};
 use flip_core::domain::FieldError;
@@ -62,6 +63,11 @@ pub struct TrainingRequest {
     /// training on a card gives another policy: it plays 32 episodes a round instead of 4.
     #[serde(default, skip_serializing_if = "Device::is_cpu")]
     pub device: Device,
+    /// What computes the gradients of updates: libtorch, or FLIP's own code, whose bits are the same
+    /// on every processor and which on a card makes the updates there. The policies differ. Default
+    /// `libtorch` on the processor, `fused` on a card.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gradients: Option<Gradients>,
     /// Seed; default 1.
     pub seed: Option<u64>,
     /// Extended simulator version, `sv-…`; default the base.
@@ -321,6 +327,11 @@ fn settings_of(request: &TrainingRequest) -> Result<Settings> {
     if !request.device.is_cpu() && settings.preset == Preset::Flip {
         settings.episodes_per_round = EPISODES_PER_ROUND_ON_CARD;
     }
+    settings.gradients = request.gradients.unwrap_or(match request.device {
+        // What stored trainings were made with.
+        Device::Cpu => Gradients::Libtorch,
+        Device::Cuda => Gradients::Fused,
+    });
     settings.surrogate_episodes =
         request.surrogate_episodes.unwrap_or_else(|| settings.surrogate_by_default());
     // Episodes take seconds of work, a checkpoint a fraction of one.

@@ -11,7 +11,7 @@ use super::session::with_app;
 use super::simulator::{SimulatorArguments, words};
 use super::table::table;
 use super::watch::Watch;
-use crate::app::{Error, Job, Order, Preset, Training, TrainingRequest, TrainingResult};
+use crate::app::{Error, Gradients, Job, Order, Preset, Training, TrainingRequest, TrainingResult};
 use clap::ValueEnum;
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::Under;
@@ -60,6 +60,10 @@ pub(super) struct Arguments {
     bench: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArguments,
+    /// What computes the gradients of updates; policies differ by it [default: libtorch on the
+    /// processor, fused on a card].
+    #[arg(long, value_enum)]
+    gradients: Option<GradientsFlag>,
     #[command(flatten)]
     labels: LabelArguments,
     #[command(flatten)]
@@ -85,6 +89,15 @@ enum PresetFlag {
     Flip,
     /// Exactly ten steps; levels at 28, 33 and 37 degrees.
     Paper,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum GradientsFlag {
+    /// libtorch, whose bits depend on the processor.
+    Libtorch,
+    /// FLIP's own code: the same bits on every processor; with --device cuda it makes the updates on
+    /// the card.
+    Fused,
 }
 
 /// The document of `flip train`.
@@ -128,6 +141,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         powders: arguments.powders.clone(),
         from: arguments.from.clone(),
         device: arguments.device.device(),
+        gradients: arguments.gradients.map(Gradients::from),
         seed: Some(seed),
         simulator: arguments.extended.simulator.clone(),
         conditions: conditions.clone(),
@@ -273,6 +287,15 @@ impl From<PresetFlag> for Preset {
         match flag {
             PresetFlag::Flip => Self::Flip,
             PresetFlag::Paper => Self::Paper,
+        }
+    }
+}
+
+impl From<GradientsFlag> for Gradients {
+    fn from(flag: GradientsFlag) -> Self {
+        match flag {
+            GradientsFlag::Libtorch => Self::Libtorch,
+            GradientsFlag::Fused => Self::Fused,
         }
     }
 }

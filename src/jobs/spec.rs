@@ -16,6 +16,7 @@
 //! | 5 | films of a training's episodes | |
 //! | 6 | `device` of an evaluation and of a training | the processor |
 //! | 6 | `goes_on_from` of a training | it begins at its beginning |
+//! | 7 | `gradients` of a training's settings | libtorch |
 
 mod films;
 
@@ -36,7 +37,7 @@ use flip_discover::spoon::{Calibrated, Settings as SpoonSettings};
 use flip_discover::traces::Traces;
 use flip_discover::{self as discover, Campaign, FitSet};
 use flip_learn::calibrate;
-use flip_learn::train;
+use flip_learn::train::{self, Gradients};
 use flip_policy::{Kind, Schedule};
 use flip_sim as sim;
 use serde::{Deserialize, Serialize};
@@ -49,7 +50,7 @@ pub use films::{EpisodeFilmSpec, FilmSpec, HeapFilmSpec};
 pub const SIMULATOR: &str = sim::VERSION;
 
 /// Latest version of the specifications written here; a text without a number is of version 1.
-const VERSION: u32 = 6;
+const VERSION: u32 = 7;
 
 /// Why a stored specification cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -389,6 +390,7 @@ impl JobSpec {
             Self::HeapFilm(_) => return 4,
             Self::EpisodeFilm(_) => return 5,
             Self::Evaluation(spec) if !spec.device.is_cpu() => return 6,
+            Self::Training(spec) if spec.settings.gradients != Gradients::Libtorch => return 7,
             Self::Training(spec) if !spec.device.is_cpu() || spec.goes_on_from.is_some() => {
                 return 6;
             }
@@ -415,80 +417,4 @@ impl JobSpec {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_version_1_stored_reads_and_keeps_its_address() {
-        let stored = include_str!("spec/version_1.jsonl");
-        let mut kinds = std::collections::HashSet::new();
-        for text in stored.lines() {
-            let spec = JobSpec::read(text).unwrap();
-            assert_eq!(spec.canonical().0, text);
-            kinds.insert(spec.kind());
-        }
-        assert_eq!(kinds.len(), 5, "of each kind");
-    }
-
-    #[test]
-    fn a_specification_with_a_field_of_version_2_says_so_and_one_without_keeps_its_text() {
-        for text in include_str!("spec/version_1.jsonl").lines() {
-            let mut spec = JobSpec::read(text).unwrap();
-            let field = match &mut spec {
-                JobSpec::Evaluation(spec) => {
-                    spec.conditions = spec.conditions.with_substep(40).unwrap();
-                    "\"substep_us\":40"
-                }
-                JobSpec::Calibration(spec) => {
-                    spec.settings.fixed.insert("gravity_scale".to_owned(), 1.0);
-                    "\"fixed\":{\"gravity_scale\":1.0}"
-                }
-                JobSpec::Investigation(spec) => {
-                    spec.shakes = Some(SpoonSpec {
-                        spoonfuls: Vec::new(),
-                        calibrated: Vec::new(),
-                        settings: SpoonSettings::default(),
-                        spoon: Spoon::default(),
-                    });
-                    "\"shakes\":{"
-                }
-                _ => continue,
-            };
-            let (newer, sha256) = spec.canonical();
-            assert!(newer.starts_with("{\"version\":2,") && newer.contains(field), "{newer}");
-            assert_eq!(JobSpec::read(&newer).unwrap(), spec);
-            assert_ne!(sha256, Sha256::digest(text).to_vec(), "another job");
-        }
-    }
-
-    #[test]
-    fn a_card_is_an_input_of_version_6_and_the_processor_is_not_mentioned() {
-        let mut met = std::collections::HashSet::new();
-        for text in include_str!("spec/version_1.jsonl").lines() {
-            let mut spec = JobSpec::read(text).unwrap();
-            match &mut spec {
-                JobSpec::Evaluation(spec) => spec.device = Device::Cuda,
-                JobSpec::Training(spec) => spec.device = Device::Cuda,
-                _ => continue,
-            }
-            met.insert(spec.kind());
-            let (on_card, sha256) = spec.canonical();
-            assert!(on_card.starts_with("{\"version\":6,"), "{on_card}");
-            assert!(on_card.contains("\"device\":\"cuda\""), "{on_card}");
-            assert_eq!(JobSpec::read(&on_card).unwrap(), spec);
-            assert_ne!(sha256, Sha256::digest(text).to_vec(), "another job");
-            assert_eq!(spec.subject().device, Device::Cuda);
-        }
-        assert_eq!(met.len(), 2, "of both kinds");
-    }
-
-    #[test]
-    fn a_newer_version_is_refused_by_its_number_and_damage_by_its_place() {
-        let text = include_str!("spec/version_1.jsonl").lines().next().unwrap();
-        let newer = text.replacen('{', "{\"version\":7,", 1);
-        assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(7))));
-        let damaged = text.replace("\"target\"", "\"targeted\"");
-        let error = JobSpec::read(&damaged).unwrap_err();
-        assert!(error.to_string().contains("missing field `target`"), "{error}");
-    }
-}
+mod tests;

@@ -19,7 +19,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 pub use flip_learn::train::{
-    Extended, FineTuning, Level, Order, PAPER_LEVELS_DEG, Preset, Settings,
+    Extended, FineTuning, Gradients, Level, Order, PAPER_LEVELS_DEG, Preset, Settings,
 };
 
 /// Parameter sets in a level: the paper's number. The other sets of a calibration are left for

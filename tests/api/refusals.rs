@@ -213,6 +213,7 @@ async fn bad_powders_and_jobs_are_refused_by_field() {
         ("/v1/calibrations", json!({ "powder": "salt", "tolerance_deg": -1 }), "tolerance_deg"),
         ("/v1/trainings", json!({ "episodes": 0 }), "episodes"),
         ("/v1/trainings", json!({ "order": "sideways" }), "order"),
+        ("/v1/trainings", json!({ "gradients": "by hand" }), "gradients"),
         ("/v1/films", json!({ "weighing": "none" }), "weighing"),
         ("/v1/evaluations", json!({ "repeats": 0 }), "repeats"),
         ("/v1/evaluations", json!({ "particles": 499 }), "particles"),

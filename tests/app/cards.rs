@@ -3,7 +3,8 @@
 use crate::harness::{ToyCard, calibrated, ended, functions, open};
 use crate::workers::{crew, served};
 use flip::app::{
-    App, Error, EvaluationRequest, Functions, Hired, JobKind, JobState, PageQuery, TrainingRequest,
+    App, Error, EvaluationRequest, Functions, Gradients, Hired, JobKind, JobState, PageQuery,
+    TrainingRequest,
 };
 use flip_core::domain::device::Device;
 use std::sync::Arc;
@@ -154,6 +155,41 @@ async fn a_training_whose_card_breaks_goes_on_from_its_checkpoint_on_the_process
     assert_eq!(ended(&app, &job.id).await.state, JobState::Failed);
     let (again, _) = app.start_again(&job.id, Some(Device::Cpu)).await.unwrap();
     assert_eq!(ended(&app, &again.id).await.state, JobState::Succeeded);
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_training_has_our_own_gradients_on_a_card_and_libtorchs_elsewhere_unless_it_says() {
+    let (_folder, app) = open(with_card(ToyCard::default())).await;
+    calibrated(&app, "sand").await;
+    let request = |device, gradients| TrainingRequest {
+        powders: Some(vec!["sand".into()]),
+        episodes: Some(4),
+        surrogate_episodes: Some(4),
+        device,
+        gradients,
+        ..Default::default()
+    };
+    let begun =
+        async |device, gradients| app.start_training(request(device, gradients)).await.unwrap();
+    let (libtorch, fused) = (Some(Gradients::Libtorch), Some(Gradients::Fused));
+    let mut ids = std::collections::HashSet::new();
+    for (device, usual, other) in [(Device::Cpu, libtorch, fused), (Device::Cuda, fused, libtorch)]
+    {
+        let (job, created) = begun(device, None).await;
+        assert!(created && ids.insert(job.id.clone()));
+        let (same, created) = begun(device, usual).await;
+        assert!(!created && same.id == job.id, "{device:?}");
+        let (another, created) = begun(device, other).await;
+        assert!(created && ids.insert(another.id.clone()), "{device:?}");
+        for (id, gradients) in [(job.id, usual), (another.id, other)] {
+            let job = ended(&app, &id).await;
+            assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+            let settings = app.training(&id).await.unwrap().settings;
+            let said = (gradients == fused).then_some("fused");
+            assert_eq!(settings["gradients"].as_str(), said, "{device:?}");
+        }
+    }
     app.shutdown().await.unwrap();
 }
 

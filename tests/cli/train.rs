@@ -28,6 +28,16 @@ fn several_seeds_are_several_trainings() {
     assert_eq!((&both[0]["seed"], &both[1]["seed"]), (&3.into(), &4.into()));
     assert_ne!(both[0]["policy"], both[1]["policy"]);
     assert_eq!(train(&["--seed", "4"])["policy"], both[1]["policy"]);
+    assert_eq!(train(&["--seed", "4", "--gradients", "libtorch"])["policy"], both[1]["policy"]);
+    let ours = train(&["--seed", "4", "--gradients", "fused"]);
+    assert_ne!(ours["policy"], both[1]["policy"]);
+    let refused = flip(data, &["train", "--gradients", "by-hand"]);
+    expect_status(&refused, 2);
+    assert!(
+        stderr(&refused).contains("[possible values: libtorch, fused]"),
+        "{}",
+        stderr(&refused)
+    );
 }
 
 #[test]

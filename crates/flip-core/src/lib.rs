@@ -2,4 +2,5 @@
 
 pub mod card;
 pub mod domain;
+pub mod learner;
 pub mod stats;

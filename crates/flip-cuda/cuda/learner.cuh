@@ -55,7 +55,7 @@ FN int critic_length(const Sizes& s) {
     return whole((s.state + ACTIONS + 1) * s.hidden + (s.hidden + 1) * (s.hidden + 1));
 }
 
-// A training: what outlasts a launch, in the order of `src/learner.rs`, then room.
+// A training: what outlasts a launch, in the order of `src/learner_layout.rs`, then room.
 struct Training {
     float *actor, *actor_m, *actor_v;
     float *critics, *targets, *critics_m, *critics_v;
@@ -89,7 +89,7 @@ FN Training training_at(float* at, const Sizes& s, size_t* length) {
     return t;
 }
 
-// One update's batch, in the order of `src/learner.rs`.
+// One update's batch, in the order of `src/learner_layout.rs`.
 struct Drawn {
     const float *now, *next, *reward, *goes_on, *noise;
 };

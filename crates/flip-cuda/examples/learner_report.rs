@@ -5,7 +5,8 @@
 //! nine launches of 200 updates, of the launch alone and with the transfer of its batches. `alone`
 //! is one training with one block.
 
-use flip_cuda::{Card, Drawn, Learned, Learners, Shape};
+use flip_core::learner::{Drawn, Learned, Shape};
+use flip_cuda::{Card, Learners};
 use flip_policy::Encoding;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -21,10 +22,8 @@ fn uniform(count: usize, size: f32, rng: &mut Pcg64Mcg) -> Vec<f32> {
 
 /// An untrained learner of this shape.
 fn untrained(shape: &Shape, rng: &mut Pcg64Mcg) -> Learned {
-    let h = shape.hidden;
-    let actor = (shape.inputs + 1) * h + (h + 1) * (h + 4);
-    let critics = 2 * ((shape.state + 3) * h + (h + 1) * (h + 1));
-    let size = 1.0 / (h as f32).sqrt();
+    let (actor, critics) = (shape.actor(), 2 * shape.critic());
+    let size = 1.0 / (shape.hidden as f32).sqrt();
     let with_means = |count: usize, rng: &mut Pcg64Mcg| {
         [uniform(count, size, rng), vec![0.0; count], vec![0.0; count]]
     };

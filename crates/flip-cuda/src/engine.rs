@@ -1,7 +1,8 @@
-//! A card as an engine of batches.
+//! A card as an engine of batches, and of updates.
 
-use crate::{Bed, Card, CardError, Spoons};
-use flip_sim::batch::{Batch, Engine, Failed, Motion, Stand};
+use crate::{Bed, Card, CardError, Learners, Spoons};
+use flip_core::learner::{Drawn, Learned, Losses, Shape};
+use flip_sim::batch::{Batch, Engine, Failed, Motion, Stand, Updates};
 use flip_sim::dispense::Dispenser;
 
 /// Spoons for each multiprocessor: with a queue of them, none waits long for the slowest of a batch.
@@ -24,6 +25,23 @@ impl Engine for Card {
 
     fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
         Ok(Box::new(Spoons::empty(self, places)?))
+    }
+
+    fn updates(&self, shape: &Shape) -> Result<Option<Box<dyn Updates>>, Failed> {
+        match Learners::serves(self, shape)? {
+            true => Ok(Some(Box::new(Learners::empty(self, *shape, 1)?))),
+            false => Ok(None),
+        }
+    }
+}
+
+/// Those of the first training.
+impl Updates for Learners {
+    fn make(&mut self, of: &mut Learned, with: &[Drawn<'_>]) -> Result<Vec<Losses>, Failed> {
+        self.put(0, of)?;
+        let made = self.update(with)?;
+        *of = self.learned(0)?;
+        Ok(made)
     }
 }
 

@@ -1,17 +1,15 @@
 //! The kernel's source, and a card where there is one, beside flip-learn.
 
 use super::*;
-use crate::twin::built;
-use crate::{Card, CardError};
+use crate::Card;
+use crate::learner_twin::updated;
+use flip_core::learner::ACTIONS;
 use flip_learn::train::replay::Batch;
 use flip_learn::train::sac::Learner;
 use flip_learn::train::{CriticLoss, Gradients, Order, Preset, Settings};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use std::process::Command;
 
-/// Parameters of a powder.
-const PARAMETERS: usize = 9;
 const UPDATES: usize = 6;
 
 fn settings(hidden: u32, batch: u32, critic_loss: CriticLoss) -> Settings {
@@ -21,18 +19,7 @@ fn settings(hidden: u32, batch: u32, critic_loss: CriticLoss) -> Settings {
 }
 
 fn shape(settings: &Settings) -> Shape {
-    let inputs = settings.encoding.width();
-    Shape {
-        rows: settings.batch as usize,
-        inputs,
-        state: inputs + PARAMETERS,
-        hidden: settings.hidden as usize,
-        huber: settings.critic_loss == CriticLoss::Huber,
-        gamma: settings.gamma as f32,
-        tau: settings.tau as f32,
-        target_entropy: settings.target_entropy,
-        learning_rate: settings.learning_rate,
-    }
+    Learner::shape(settings).expect("perceptrons, from the beginning")
 }
 
 /// A training: its learner, and batches with noise for each update.
@@ -81,65 +68,10 @@ impl Case {
     /// What flip-learn makes of it.
     fn expected(&self, settings: &Settings) -> (Learned, Vec<Losses>) {
         let mut learner = self.learner.clone();
-        let update = |(batch, noise): &(Batch, Vec<f32>)| {
-            let made = learner.update(batch, noise, settings);
-            Losses {
-                critic: made.critic,
-                actor: made.actor,
-                entropy: made.entropy,
-                alpha: made.alpha,
-            }
-        };
+        let update = |(batch, noise): &(Batch, Vec<f32>)| learner.update(batch, noise, settings);
         let losses = self.batches.iter().map(update).collect();
-        (learned(&learner), losses)
+        (learner.learned(), losses)
     }
-}
-
-fn learned(of: &Learner) -> Learned {
-    let Learner { actor_adam, critics_adam, alpha_adam, .. } = of;
-    Learned {
-        actor: [of.actor.clone(), actor_adam.m.clone(), actor_adam.v.clone()],
-        critics: [of.critics.clone(), critics_adam.m.clone(), critics_adam.v.clone()],
-        targets: of.targets.clone(),
-        log_alpha: [of.log_alpha[0], alpha_adam.m[0], alpha_adam.v[0]],
-        steps: [critics_adam.t, actor_adam.t],
-    }
-}
-
-/// The twin's results with groups of this many blocks; none, with the reason printed, where it
-/// cannot be compiled.
-fn by_twin(shape: &Shape, cases: &[Case], blocks: usize) -> Option<(Vec<Learned>, Vec<Losses>)> {
-    let program = built("cuda/learner_twin.cpp")?;
-    let sizes = shape.sizes(UPDATES, blocks);
-    let whole = [sizes.rows, sizes.inputs, sizes.state, sizes.hidden, sizes.updates, sizes.blocks];
-    let mut bytes: Vec<u8> = whole.into_iter().flat_map(i32::to_le_bytes).collect();
-    bytes.extend(sizes.huber.to_le_bytes());
-    bytes.extend([sizes.gamma, sizes.tau].into_iter().flat_map(f32::to_le_bytes));
-    bytes.extend(sizes.unused.to_le_bytes());
-    bytes.extend(sizes.target_entropy.to_le_bytes());
-    bytes.extend((cases.len() as i32).to_le_bytes());
-    let mut numbers = Vec::new();
-    for case in cases {
-        numbers.extend(shape.image(&learned(&case.learner)).expect("it has this shape"));
-    }
-    for batch in cases.iter().flat_map(Case::drawn) {
-        shape.add(&batch, &mut numbers).expect("it has this shape");
-    }
-    for _ in cases {
-        numbers.extend((0..UPDATES as u64).flat_map(|k| shape.scales([k; 2])));
-    }
-    bytes.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
-    let folder = tempfile::tempdir().expect("a folder for the trainings");
-    let (input, output) = (folder.path().join("in"), folder.path().join("out"));
-    std::fs::write(&input, bytes).expect("the trainings are written");
-    let status = Command::new(program).args([&input, &output]).status().expect("the twin runs");
-    assert!(status.success(), "the twin failed: {status}");
-    let bytes = std::fs::read(&output).expect("the twin's answer is read");
-    let (images, raw) = bytes.split_at(4 * shape.training() * cases.len());
-    let images: Vec<f32> = images.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-    let raw: Vec<f64> = raw.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect();
-    let of = |image| shape.learned_in(image, [UPDATES as u64; 2]);
-    Some((images.chunks(shape.training()).map(of).collect(), losses(&raw)))
 }
 
 /// Widths, batches that are and are not multiples of a chunk, and both losses.
@@ -155,10 +87,12 @@ fn all_settings() -> [Settings; 3] {
 fn the_twin_is_flip_learn_in_every_bit() {
     for settings in all_settings() {
         let cases = [Case::new(&settings, 1), Case::new(&settings, 2)];
+        let states = cases.each_ref().map(|case| case.learner.learned());
+        let batches: Vec<Drawn> = cases.iter().flat_map(Case::drawn).collect();
         for blocks in [1, 3] {
-            let Some((learned, losses)) = by_twin(&shape(&settings), &cases, blocks) else {
-                return;
-            };
+            let layout = Layout(shape(&settings));
+            let Some(updated) = updated(layout, blocks, &states, &batches) else { return };
+            let (learned, losses) = updated.expect("they are of this shape");
             for (k, case) in cases.iter().enumerate() {
                 let expected = case.expected(&settings);
                 assert_eq!(losses[k * UPDATES..][..UPDATES], expected.1);
@@ -178,7 +112,7 @@ fn a_card_is_flip_learn_in_every_bit_however_it_shares_out_the_work() {
         let cases: Vec<Case> = (0..3).map(|seed| Case::new(&settings, seed)).collect();
         let expected: Vec<_> = cases.iter().map(|case| case.expected(&settings)).collect();
         for blocks in [1, 2, 99] {
-            let states: Vec<Learned> = cases.iter().map(|case| learned(&case.learner)).collect();
+            let states: Vec<_> = cases.iter().map(|case| case.learner.learned()).collect();
             let learners = Learners::new(&card, shape(&settings), &states).expect("a card");
             let mut learners = learners.with_blocks(blocks);
             let batches: Vec<Drawn> = cases.iter().flat_map(Case::drawn).collect();
@@ -194,16 +128,19 @@ fn a_card_is_flip_learn_in_every_bit_however_it_shares_out_the_work() {
 #[test]
 fn learners_and_batches_of_other_sizes_are_refused() {
     let settings = settings(16, 5, CriticLoss::Squared);
-    let shape = shape(&settings);
+    let layout = Layout(shape(&settings));
     let case = Case::new(&settings, 1);
-    let whole = learned(&case.learner);
+    let whole = case.learner.learned();
     let mut short = whole.clone();
     short.targets.pop();
-    assert!(matches!(shape.image(&short), Err(CardError::Unfit(_))));
-    let odd = Shape { hidden: 12, ..shape };
-    assert!(matches!(odd.image(&whole), Err(CardError::Unfit(_))));
+    assert!(matches!(layout.image(&short), Err(CardError::Unfit(_))));
+    let odd = Layout(Shape { hidden: 12, ..layout.0 });
+    assert!(!odd.is_served() && matches!(odd.image(&whole), Err(CardError::Unfit(_))));
     let batch = case.drawn().next().expect("there are batches");
     let short = Drawn { reward: &batch.reward[1..], ..batch };
-    assert!(matches!(shape.add(&short, &mut Vec::new()), Err(CardError::Unfit(_))));
-    assert_eq!(shape.learned_in(&shape.image(&whole).expect("it fits"), whole.steps), whole);
+    assert!(matches!(layout.add(&short, &mut Vec::new()), Err(CardError::Unfit(_))));
+    assert_eq!(layout.learned_in(&layout.image(&whole).expect("it fits"), whole.steps), whole);
+    let mut back = Learner::new(&settings, &mut Pcg64Mcg::seed_from_u64(2));
+    back.put(whole.clone());
+    assert_eq!(back.learned(), whole);
 }

@@ -17,7 +17,8 @@
 //! # Learners
 //!
 //! [`Learners`] makes updates of Soft Actor-Critic, of many trainings in one launch. Its results are
-//! those of `flip-learn` on a processor in every bit.
+//! those of `flip-learn` on a processor in every bit. A training whose engine ([`flip_sim::batch`]) is
+//! a card has its updates made by one.
 //!
 //! # The twin
 //!
@@ -39,6 +40,12 @@ mod engine_tests;
 mod found;
 mod layout;
 mod learner;
+mod learner_layout;
+#[cfg(test)]
+mod learner_training_tests;
+#[cfg(test)]
+#[path = "learner_twin_for_tests.rs"]
+mod learner_twin;
 mod orders;
 mod spoons;
 #[cfg(test)]
@@ -48,7 +55,7 @@ mod twin;
 pub use bed::{Bed, GRAINS_MAX, Refused};
 pub use card::{Card, CardError};
 pub use found::{Found, find, find_all};
-pub use learner::{Drawn, Learned, Learners, Losses, Shape};
+pub use learner::Learners;
 pub use spoons::{Poured, Spoons};
 
 /// Result of something asked from a card.

@@ -3,19 +3,20 @@
 
 use crate::layout;
 use crate::orders::{Orders, Raw};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// Compiles the spoons' twin once per process; none, with the reason printed, where there is no
-/// g++.
-fn program() -> Option<&'static Path> {
-    static PROGRAM: OnceLock<Option<PathBuf>> = OnceLock::new();
-    PROGRAM.get_or_init(|| built("cuda/twin.cpp")).as_deref()
+/// Compiles a twin once per process, into a folder that lasts as long; none, with the reason printed,
+/// where there is no g++.
+pub(crate) fn built(source: &'static str) -> Option<PathBuf> {
+    static BUILT: Mutex<BTreeMap<&str, Option<PathBuf>>> = Mutex::new(BTreeMap::new());
+    let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
+    built.entry(source).or_insert_with(|| compiled(source)).clone()
 }
 
-/// Compiles a twin into a folder that lasts as long as the process; likewise.
-pub(crate) fn built(source: &str) -> Option<PathBuf> {
+fn compiled(source: &str) -> Option<PathBuf> {
     static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| tempfile::tempdir().expect("a folder for the twins"));
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(source);
@@ -52,7 +53,7 @@ pub(crate) fn carry_out(
     spoons: &[Vec<u32>],
     orders: &Orders,
 ) -> Option<(Vec<Vec<u32>>, Raw)> {
-    let program = program()?;
+    let program = built("cuda/twin.cpp")?;
     let folder = tempfile::tempdir().expect("a folder for the jobs");
     let (input, output) = (folder.path().join("in"), folder.path().join("out"));
     let (jobs, parts) = (orders.jobs.len() / layout::JOB, orders.parts.len() / layout::PART);

@@ -6,7 +6,8 @@
 //! ```
 //!
 //! `updates=1` makes so many updates for each simulated step instead of ten, and a tenth of those on the
-//! surrogate: what the simulation alone takes shows then.
+//! surrogate: what the simulation alone takes shows then. Gradients are our own, and the card makes the
+//! updates; with `libtorch` they are libtorch's, on one core.
 //!
 //! Trains FLIP's preset on three made-up powders, by default with its 4800 episodes, a fifth of them in
 //! the simulator, and weighs with what was learned on spoons that no training met. `cores` trains on the
@@ -17,7 +18,7 @@ use flip_core::domain::seed::derive;
 use flip_learn::train::environment::simulated;
 use flip_learn::train::rivals::assess;
 use flip_learn::train::schedule::Tuning;
-use flip_learn::train::{Event, Level, Order, Preset, Settings, Start, train_beside};
+use flip_learn::train::{Event, Gradients, Level, Order, Preset, Settings, Start, train_beside};
 use flip_policy::{Controller, Paced};
 use flip_sim::batch::{Cores, Engine};
 use std::ops::ControlFlow;
@@ -55,6 +56,9 @@ fn main() {
     let mut usual = Settings::of(Preset::Flip, Order::Curriculum, seed);
     usual.episodes = number("episodes=").map_or(usual.episodes, |it| it as u32);
     usual.surrogate_episodes = usual.surrogate_by_default();
+    if !asked.iter().any(|it| it == "libtorch") {
+        usual.gradients = Gradients::Fused;
+    }
     if let Some(updates) = number("updates=") {
         let share = updates / usual.updates_per_step;
         usual.surrogate_updates_per_step *= share;

@@ -19,6 +19,7 @@ pub use several::Several;
 
 use super::dispense::Dispenser;
 use flip_core::domain::bench::{Action, PitchLimits};
+use flip_core::learner::{Drawn, Learned, Losses, Shape};
 use rayon::prelude::*;
 
 /// What a spoon is asked to do.
@@ -95,7 +96,17 @@ pub trait Batch: Send {
     fn step(&mut self, motions: &[(usize, Motion)]) -> Result<Vec<Stand>, Failed>;
 }
 
-/// What computes batches.
+/// Makes updates of learners of one shape.
+pub trait Updates: Send {
+    /// Makes an update of a learner with each of these batches, one after the other, and returns
+    /// their losses. State and losses are those of `flip-learn`'s own gradients on cores in every bit.
+    ///
+    /// # Errors
+    /// A device that fails, or a state or batch of another shape; the learner is then as it was.
+    fn make(&mut self, of: &mut Learned, with: &[Drawn<'_>]) -> Result<Vec<Losses>, Failed>;
+}
+
+/// What computes batches of spoons, and on request updates of what learns from them.
 pub trait Engine: Send + Sync {
     /// Its name, for people.
     fn name(&self) -> String;
@@ -108,6 +119,14 @@ pub trait Engine: Send + Sync {
     /// # Errors
     /// A device that fails, or has too little memory.
     fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed>;
+
+    /// What makes updates of learners of this shape; none if they are better made on cores.
+    ///
+    /// # Errors
+    /// A device that fails, or has too little memory.
+    fn updates(&self, _: &Shape) -> Result<Option<Box<dyn Updates>>, Failed> {
+        Ok(None)
+    }
 }
 
 /// A filled spoon that is moved and looked at, wherever it is computed.

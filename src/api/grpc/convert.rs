@@ -52,6 +52,7 @@ same_names! {
     app::TrialPhase = TrialPhase { Search Verification }
     app::Order = Order { Curriculum Random Reverse DomainRandomisation }
     app::Preset = Preset { Flip Paper }
+    app::Gradients = Gradients { Libtorch Fused }
     app::LabelKind = LabelKind { Powder Calibration Training Policy Evaluation Investigation Simulator Weighing DoseList Repose Film }
     app::ArchivedItems = Archived { Exclude Only Include }
     app::Verdict = Verdict { NoDiscrepancy Cause Ambiguous Unexplained Hint }

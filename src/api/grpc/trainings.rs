@@ -22,6 +22,7 @@ impl trainings_server::Trainings for Service {
             powders: given(asked.powders),
             from: asked.from,
             device: named::<Device, _>("device", asked.device)?.unwrap_or_default(),
+            gradients: named::<Gradients, _>("gradients", asked.gradients)?,
             seed: asked.seed,
             simulator: asked.simulator,
             conditions: conditions(asked.conditions),

@@ -51,6 +51,11 @@ pub struct TrainingRequest {
     /// training on a card gives another policy: it plays 32 episodes a round instead of 4.
     #[serde(default)]
     pub device: Device,
+    /// What computes the gradients of updates: libtorch, or FLIP's own code, whose bits are the same
+    /// on every processor and which on a card makes the updates there. The policies differ. Default
+    /// `libtorch` on the processor, `fused` on a card.
+    #[serde(default)]
+    pub gradients: Option<Gradients>,
     /// Seed; default 1.
     pub seed: Option<u64>,
     /// Extended simulator version, `sv-…`; default the base.
@@ -75,8 +80,8 @@ pub struct TrainingRequest {
 }
 
 request! { TrainingRequest => app::TrainingRequest {
-    order, preset, episodes, surrogate_episodes, powders, from, device, seed, simulator, conditions,
-    as_calibrated, spoon, labels,
+    order, preset, episodes, surrogate_episodes, powders, from, device, gradients, seed, simulator,
+    conditions, as_calibrated, spoon, labels,
 } }
 
 /// A training: its job, its levels, and its policy once it has succeeded.
@@ -234,3 +239,16 @@ answer! { flip_learn::train::Order => enum Order {
 request! { enum Order => flip_learn::train::Order {
     Curriculum, Reverse, Random, DomainRandomisation,
 } }
+
+/// What computes the gradients of a training's updates.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Gradients {
+    /// libtorch, whose bits depend on the processor.
+    #[default]
+    Libtorch,
+    /// FLIP's own code, with the same bits on every processor and on a card.
+    Fused,
+}
+
+request! { enum Gradients => flip_learn::train::Gradients { Libtorch, Fused } }

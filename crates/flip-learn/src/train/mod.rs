@@ -50,6 +50,8 @@ mod spoons;
 mod surrogate;
 #[cfg(feature = "libtorch")]
 mod training;
+#[cfg(feature = "libtorch")]
+mod updates;
 
 #[cfg(feature = "libtorch")]
 pub use adam::Adam;

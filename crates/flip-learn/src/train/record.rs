@@ -6,6 +6,8 @@ use flip_policy::{Actor, Episode, LevelManifest, Manifest};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 
+pub use flip_core::learner::Losses;
+
 /// A level of the curriculum: a powder and its simulated twins.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Level {
@@ -133,17 +135,4 @@ pub enum Start<'a> {
     Policy(&'a Actor),
     /// A checkpoint of an interrupted training.
     Checkpoint(&'a [u8]),
-}
-
-/// Losses and statistics of one update.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Losses {
-    /// Loss of both critics.
-    pub critic: f64,
-    /// Loss of the actor.
-    pub actor: f64,
-    /// Entropy of the policy, nats.
-    pub entropy: f64,
-    /// Temperature before the update.
-    pub alpha: f64,
 }

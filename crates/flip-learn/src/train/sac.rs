@@ -19,7 +19,9 @@ use super::fused::{Approach, Fused, exponential};
 use super::networks::Networks;
 use super::record::Losses;
 use super::replay::Batch;
-use super::settings::{CriticLoss, Gradients, Settings};
+use super::settings::{CriticLoss, Gradients, Network, Settings};
+use flip_core::domain::parameters::COUNT;
+use flip_core::learner::{Learned, Shape};
 use flip_policy::{Actor, LOG_STD_MAX, LOG_STD_MIN, OUTPUTS};
 use rand::Rng;
 use tch::Tensor;
@@ -144,6 +146,55 @@ impl Learner {
 
     /// Continues with this actor.
     pub fn take(&mut self, actor: Vec<f32>) {
+        self.averaged.clone_from(&actor);
+        self.actor = actor;
+    }
+
+    /// Sizes and rates of a learner of these settings that is no more than its [`Learned`] and makes
+    /// its updates by our own gradients: with perceptrons, and without an actor that is held or
+    /// averaged.
+    pub fn shape(settings: &Settings) -> Option<Shape> {
+        let is_plain = settings.network == Network::FeedForward
+            && settings.gradients == Gradients::Fused
+            && settings.from.is_none();
+        let inputs = settings.encoding.width();
+        is_plain.then(|| Shape {
+            rows: settings.batch as usize,
+            inputs,
+            state: inputs + COUNT,
+            hidden: settings.hidden as usize,
+            huber: settings.critic_loss == CriticLoss::Huber,
+            gamma: settings.gamma as f32,
+            tau: settings.tau as f32,
+            target_entropy: settings.target_entropy,
+            learning_rate: settings.learning_rate,
+        })
+    }
+
+    /// Its state as plain numbers.
+    pub fn learned(&self) -> Learned {
+        let Self { actor_adam, critics_adam, alpha_adam, .. } = self;
+        Learned {
+            actor: [self.actor.clone(), actor_adam.m.clone(), actor_adam.v.clone()],
+            critics: [self.critics.clone(), critics_adam.m.clone(), critics_adam.v.clone()],
+            targets: self.targets.clone(),
+            log_alpha: [self.log_alpha[0], alpha_adam.m[0], alpha_adam.v[0]],
+            steps: [critics_adam.t, actor_adam.t],
+        }
+    }
+
+    /// Replaces its state; the final actor is the last one.
+    pub fn put(&mut self, state: Learned) {
+        let Learned { actor, critics, targets, log_alpha, steps } = state;
+        let [log_alpha, m, v] = log_alpha.map(|number| vec![number]);
+        self.alpha_adam = Adam { m, v, t: steps[1] };
+        self.log_alpha = log_alpha;
+        self.targets = targets;
+        let [critics, m, v] = critics;
+        self.critics_adam = Adam { m, v, t: steps[0] };
+        self.critics = critics;
+        let [actor, m, v] = actor;
+        self.actor_adam = Adam { m, v, t: steps[1] };
         self.averaged.clone_from(&actor);
         self.actor = actor;
     }

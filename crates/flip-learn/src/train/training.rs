@@ -12,9 +12,10 @@ use super::replay::Replay;
 use super::sac::Learner;
 use super::settings::{Order, SURROGATE_EPISODES, Settings};
 use super::spoons::Spoons;
+use super::updates::Updating;
 use flip_core::domain::FieldError;
 use flip_core::domain::seed::derive;
-use flip_policy::{Actor, Controller, LevelManifest, Manifest, Policy, SetManifest, normal};
+use flip_policy::{Actor, Controller, LevelManifest, Manifest, Policy, SetManifest};
 use flip_sim::batch::{Engine, Failed};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -41,8 +42,10 @@ pub fn train(
     train_on(&simulated(settings), levels, settings, start, flow, on_event)
 }
 
-/// [`train`] with the simulated doses of each round side by side on an engine. On one device and driver
-/// the same inputs give the same bytes; on [`flip_sim::batch::Cores`] they are those of [`train`].
+/// [`train`] with the simulated doses of each round side by side on an engine, and with updates on it
+/// where gradients are our own and it has something for the network. On one device and driver the same
+/// inputs give the same bytes; on [`flip_sim::batch::Cores`] they are those of [`train`]. Where updates
+/// are made changes no byte.
 ///
 /// # Errors
 /// [`TrainError`]; [`TrainError::Device`] if the engine fails.
@@ -54,16 +57,18 @@ pub fn train_beside(
     flow: &Flow<'_>,
     on_event: impl FnMut(Event) -> ControlFlow<()>,
 ) -> Result<Trained, TrainError> {
+    let settings = &settings.clone().checked()?;
     let spoons = Spoons::new(simulated(settings), derive(settings.seed, &[stream::SPOONS]));
-    let rounds = SideBySide::new(engine, spoons, settings);
-    // Without a batch nothing has begun: what there was to resume from still is.
+    let begun = SideBySide::new(engine, spoons, settings)
+        .and_then(|rounds| Ok((rounds, Updating::on(engine, settings)?)));
+    // Without room nothing has begun: what there was to resume from still is.
     let untouched = match start {
         Start::Checkpoint(bytes) => Some(bytes.to_vec()),
         Start::Nothing | Start::Policy(_) => None,
     };
-    let rounds =
-        rounds.map_err(|Failed(cause)| TrainError::Device { cause, checkpoint: untouched })?;
-    learn(&rounds, levels, settings, start, flow, on_event)
+    let (rounds, updating) =
+        begun.map_err(|Failed(cause)| TrainError::Device { cause, checkpoint: untouched })?;
+    learn((&rounds, updating), levels, settings, start, flow, on_event)
 }
 
 /// The mutable state of a training, as stored in a checkpoint.
@@ -114,12 +119,12 @@ pub fn train_on<F: Filling>(
     on_event: impl FnMut(Event) -> ControlFlow<()>,
 ) -> Result<Trained, TrainError> {
     let spoons = Spoons::new(filling, derive(settings.seed, &[stream::SPOONS]));
-    learn(&spoons, levels, settings, start, flow, on_event)
+    learn((&spoons, Updating::on_cores()), levels, settings, start, flow, on_event)
 }
 
-/// A training whose rounds are played by `rounds`.
+/// A training whose rounds are played by `rounds`, and learned from by `updating`.
 fn learn(
-    rounds: &impl Rounds,
+    (rounds, mut updating): (&impl Rounds, Updating),
     levels: &[Level],
     settings: &Settings,
     start: Start<'_>,
@@ -136,7 +141,8 @@ fn learn(
         Start::Policy(actor) => State::new(levels, settings).going_on_from(actor, settings)?,
     };
     while state.progress.episodes < settings.episodes {
-        let Some(Rounded { kept, records }) = state.round(levels, settings, rounds, flow)? else {
+        let by = (rounds, &mut updating);
+        let Some(Rounded { kept, records }) = state.round(levels, settings, by, flow)? else {
             return Err(TrainError::Stopped {
                 checkpoint: checkpoint::encode(&state, levels, settings),
             });
@@ -153,9 +159,19 @@ fn learn(
             stop |= on_event(Event::Checkpoint(checkpoint::encode(&state, levels, settings)))
                 .is_break();
         }
-        if stop && state.progress.episodes < settings.episodes {
+        if state.progress.episodes == settings.episodes {
+            break;
+        }
+        if stop {
             return Err(TrainError::Stopped {
                 checkpoint: checkpoint::encode(&state, levels, settings),
+            });
+        }
+        // The round was learned from to its end on the cores.
+        if let Some(Failed(cause)) = updating.failed() {
+            return Err(TrainError::Device {
+                cause: cause.clone(),
+                checkpoint: Some(checkpoint::encode(&state, levels, settings)),
             });
         }
     }
@@ -209,7 +225,7 @@ impl State {
         &mut self,
         levels: &[Level],
         settings: &Settings,
-        rounds: &impl Rounds,
+        (rounds, updating): (&impl Rounds, &mut Updating),
         flow: &Flow<'_>,
     ) -> Result<Option<Rounded>, TrainError> {
         let first = self.progress.episodes;
@@ -248,7 +264,7 @@ impl State {
             *steps += if learns { played.steps.len() as u64 } else { 0 };
         }
         self.progress.rounds += 1;
-        let losses = self.learn(settings);
+        let losses = self.learn(settings, updating);
         let left = settings.episodes - self.progress.episodes;
         if on_surrogate && left > 0 && self.progress.episodes == settings.surrogate_episodes {
             // Surrogate steps would dominate every batch, and the simulator behaves differently.
@@ -278,33 +294,21 @@ impl State {
     }
 
     /// Makes the updates that are due; returns the mean of their losses.
-    fn learn(&mut self, settings: &Settings) -> Option<Losses> {
+    fn learn(&mut self, settings: &Settings, updating: &mut Updating) -> Option<Losses> {
         let due = settings.updates_per_step * self.progress.learning_steps as f64
             + settings.surrogate_updates_per_step * self.progress.surrogate_steps as f64;
-        let count = (due.floor() as u64).saturating_sub(self.progress.updates);
-        let mut sum = Losses::default();
-        for _ in 0..count {
-            let mut rng = Pcg64Mcg::seed_from_u64(derive(
-                settings.seed,
-                &[stream::UPDATE, self.progress.updates],
-            ));
-            let batch = self.replay.draw(settings, &mut rng);
-            let noise: Vec<f32> = (0..4 * batch.reward.len()).map(|_| normal(&mut rng)).collect();
-            let seen = self.learner.update(&batch, &noise, settings);
-            sum.critic += seen.critic;
-            sum.actor += seen.actor;
-            sum.entropy += seen.entropy;
-            sum.alpha += seen.alpha;
-            self.progress.updates += 1;
-        }
-        let n = count as f64;
+        let made = self.progress.updates;
+        let all = made.max(due.floor() as u64);
+        let sum = updating.make(made..all, &mut self.learner, &self.replay, settings);
+        self.progress.updates = all;
+        let n = (all - made) as f64;
         let mean = Losses {
             critic: sum.critic / n,
             actor: sum.actor / n,
             entropy: sum.entropy / n,
             alpha: sum.alpha / n,
         };
-        (count > 0).then_some(mean)
+        (all > made).then_some(mean)
     }
 
     /// This network as a policy, with its origin so far.

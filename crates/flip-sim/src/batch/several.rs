@@ -3,8 +3,9 @@
 //! Places are dealt out in turn, so that each engine has as many as any other or one more. The engines
 //! work at the same time and exchange nothing.
 
-use super::{Batch, Engine, Failed, Motion, Stand, no_place};
+use super::{Batch, Engine, Failed, Motion, Stand, Updates, no_place};
 use crate::dispense::Dispenser;
+use flip_core::learner::Shape;
 use std::sync::Arc;
 
 /// Engines of one kind, such as the graphics cards of a computer; at least one.
@@ -37,6 +38,11 @@ impl Engine for Several {
         };
         let batches = self.0.iter().enumerate().filter_map(share).collect::<Result<_, _>>()?;
         Ok(Box::new(Dealt { batches, filled: vec![false; places] }))
+    }
+
+    /// A learner is on one of them.
+    fn updates(&self, shape: &Shape) -> Result<Option<Box<dyn Updates>>, Failed> {
+        self.0[0].updates(shape)
     }
 }
 
