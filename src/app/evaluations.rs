@@ -6,7 +6,9 @@ use super::jobs::{corrupt, specification, stored};
 use super::trainings::without_sets;
 use super::{App, Error, Result};
 use crate::jobs::evaluate::{CONTROLLERS, EvaluationResult, POLICY, rival, tuned_schedule};
-use crate::jobs::{Conditions, EvaluationPowder, EvaluationSpec, JobSpec, SIMULATOR, can_compute};
+use crate::jobs::{
+    Conditions, EvaluationPowder, EvaluationSpec, JobSpec, can_compute, simulator_on,
+};
 use flip_core::domain::conditions::{Conditions as Day, Under};
 use flip_core::domain::device::Device;
 use flip_core::domain::job::JobKind;
@@ -171,7 +173,7 @@ impl App {
             under: extended.map(|it| it.0),
             device: request.device,
             seed: request.seed.unwrap_or(1),
-            simulator: SIMULATOR.to_owned(),
+            simulator: simulator_on(request.device),
         };
         self.queue(JobSpec::Evaluation(spec), request.labels).await
     }

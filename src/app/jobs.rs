@@ -2,7 +2,7 @@
 
 use super::caller_labels::written;
 use super::{App, Error, Result};
-use crate::jobs::{JobSpec, SIMULATOR, lane_of};
+use crate::jobs::{JobSpec, lane_of, simulator_on};
 use flip_core::domain::FieldError;
 use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState};
@@ -47,9 +47,10 @@ impl App {
             return Err(Error::conflict("job_not_over", advice));
         }
         let spec = specification(&row)?;
-        if let Some(old) = spec.simulator().filter(|old| *old != SIMULATOR) {
+        let present = simulator_on(spec.device());
+        if let Some(old) = spec.simulator().filter(|old| *old != present) {
             let advice = format!(
-                "job {id} is of simulator {old}, and this is {SIMULATOR}: request it anew, with the same settings"
+                "job {id} is of simulator {old}, and this is {present}: request it anew, with the same settings"
             );
             return Err(Error::conflict("simulator_changed", advice));
         }

@@ -8,7 +8,7 @@ use crate::jobs::train::{
     Extended, Gradients, Level, Order, PAPER_LEVELS_DEG, Preset, SETS_PER_LEVEL, Settings,
     TrainingResult,
 };
-use crate::jobs::{JobSpec, SIMULATOR, TrainingSpec, can_compute};
+use crate::jobs::{JobSpec, TrainingSpec, can_compute, simulator_on};
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::{Conditions, Patch, Under};
 use flip_core::domain::device::Device;
@@ -174,7 +174,7 @@ impl App {
         let days = settings.extended.iter();
         let days = days.flat_map(|it| it.days.iter().chain(it.powders.values().flatten()));
         can_compute(request.device, &settings.spoon, days)?;
-        let (device, simulator) = (request.device, SIMULATOR.to_owned());
+        let (device, simulator) = (request.device, simulator_on(request.device));
         let spec = TrainingSpec { levels, settings, device, goes_on_from: None, simulator };
         self.queue(JobSpec::Training(spec), request.labels).await
     }

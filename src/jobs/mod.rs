@@ -61,6 +61,7 @@ pub use runner::{
 pub use spec::{
     CalibrationSpec, EpisodeFilmSpec, EvaluationPowder, EvaluationSpec, FilmSpec, HeapFilmSpec,
     Heaps, InvestigationSpec, JobSpec, ReposeSpec, SIMULATOR, SpoonSpec, TrainingSpec,
+    simulator_on,
 };
 
 use bench::Bench;

@@ -49,6 +49,14 @@ pub use films::{EpisodeFilmSpec, FilmSpec, HeapFilmSpec};
 /// versions are never mixed.
 pub const SIMULATOR: &str = sim::VERSION;
 
+/// Version of the simulator on a device: a card's kernels have their own.
+pub fn simulator_on(device: Device) -> String {
+    match device {
+        Device::Cpu => SIMULATOR.to_owned(),
+        Device::Cuda => format!("{SIMULATOR}+cuda.{}", flip_cuda::VERSION),
+    }
+}
+
 /// Latest version of the specifications written here; a text without a number is of version 1.
 const VERSION: u32 = 7;
 
@@ -147,7 +155,7 @@ pub struct TrainingSpec {
     /// there. None for all others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub goes_on_from: Option<String>,
-    /// Version of the simulator: [`SIMULATOR`].
+    /// Version of the simulator: [`simulator_on`] the device.
     pub simulator: String,
 }
 
@@ -185,7 +193,7 @@ pub struct EvaluationSpec {
     /// What simulates; omitted for the processor, as in older specifications.
     #[serde(default, skip_serializing_if = "Device::is_cpu")]
     pub device: Device,
-    /// Version of the simulator: [`SIMULATOR`].
+    /// Version of the simulator: [`simulator_on`] the device.
     pub simulator: String,
 }
 
@@ -348,10 +356,12 @@ impl JobSpec {
         match self {
             Self::Training(spec) if !spec.device.is_cpu() => {
                 let (device, goes_on_from) = (Device::Cpu, checkpoint);
-                Self::Training(TrainingSpec { device, goes_on_from, ..spec })
+                let simulator = simulator_on(device);
+                Self::Training(TrainingSpec { device, goes_on_from, simulator, ..spec })
             }
             Self::Evaluation(spec) => {
-                Self::Evaluation(EvaluationSpec { device: Device::Cpu, ..spec })
+                let (device, simulator) = (Device::Cpu, simulator_on(Device::Cpu));
+                Self::Evaluation(EvaluationSpec { device, simulator, ..spec })
             }
             other => other,
         }

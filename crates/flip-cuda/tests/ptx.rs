@@ -1,7 +1,21 @@
 //! The shipped kernels are what the sources give.
 
+use sha2::{Digest, Sha256};
 use std::path::Path;
 use std::process::Command;
+
+/// With other kernels for spoons, results stored under the present version are not those of the same
+/// inputs any more.
+#[test]
+fn the_version_is_that_of_these_kernels() {
+    let kernels = Path::new(env!("CARGO_MANIFEST_DIR")).join("ptx/spoons.ptx");
+    let Ok(kernels) = std::fs::read(kernels) else {
+        return println!("skipped: the kernels are not on this machine");
+    };
+    let known = (2, "f2bdd5a4e3a0a64f1e141f4eb3a7a3893b04f1b93a44b8037c6b81a534c89820");
+    let found = hex::encode(Sha256::digest(kernels));
+    assert_eq!((flip_cuda::VERSION, found.as_str()), known, "raise flip_cuda::VERSION");
+}
 
 /// Runs where `FLIP_NVCC` names a folder with the compiler, as `build_ptx.py` fetches it.
 #[test]
