@@ -1,5 +1,5 @@
 #!/bin/bash
-# What a graphics card does for an evaluation and a training, beside this machine's cores, by the commands that users call.
+# What a graphics card does for an evaluation, a training and the demonstration, beside this machine's cores, by the commands that users call.
 #
 #     .ci/gpu_report.sh path/to/flip [folder]
 #
@@ -32,6 +32,7 @@ done
 took evaluate-cuda "${evaluate[@]}" --device cuda
 [ -n "${ONLY_CARD:-}" ] || took evaluate-cpu "${evaluate[@]}"
 took train-cuda "${train[@]}" --device cuda
+(data=$data/nothing && mkdir -p "$data" && took demo-cuda demo --exit --listen 127.0.0.1:0 --seed 1 --json --device cuda)
 policy=$(python3 -c 'import json, sys; print(json.load(open(sys.argv[1]))["policy"])' "$data/train-cuda.json")
 took trained-on-card-cuda "${evaluate[@]}" --policy "$policy" --device cuda
 python3 - "$data" <<'PY'

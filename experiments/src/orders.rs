@@ -220,3 +220,27 @@ pub fn read(
     );
     Ok((levels, powders))
 }
+
+/// Prints by how much the first of these trainings errs less than each of the others, with the
+/// standard error of the difference of the means over the seeds.
+///
+/// ```text
+/// se^2 = s_1^2 / n_1 + s_2^2 / n_2
+/// ```
+pub fn tell_differences(names: &[String], runs: &[Run]) {
+    let errors = |name: &String| -> Vec<f64> {
+        runs.iter().filter(|run| run.name == *name).map(|run| run.mae_all_mg).collect()
+    };
+    let Some((first, others)) = names.split_first() else { return };
+    let of_mean = |errors: &[f64]| {
+        let sd = sd(errors)?;
+        Some((mean(errors)?, sd * sd / errors.len() as f64))
+    };
+    for other in others {
+        let [Some((a, va)), Some((b, vb))] = [first, other].map(|name| of_mean(&errors(name)))
+        else {
+            continue;
+        };
+        println!("{other} less {first}: {:.2} mg, standard error {:.2}", b - a, (va + vb).sqrt());
+    }
+}

@@ -26,7 +26,9 @@ use flip_bench::weigh::{Accuracy, Order};
 use flip_core::domain::seed::derive;
 use flip_core::stats::summary::mean;
 use flip_cuda::Card;
-use flip_experiments::orders::{Run, TARGETS_MG, Weighed, of_all_orders, picture, read, tell};
+use flip_experiments::orders::{
+    Run, TARGETS_MG, Weighed, of_all_orders, picture, read, tell, tell_differences,
+};
 use flip_learn::train::evaluate::{Contender, Dose, Plan, Weighing, evaluate};
 use flip_learn::train::{
     Event, Gradients, Level, Network, Preset, Settings, Start, TrainError, train_beside,
@@ -342,6 +344,7 @@ fn main() -> anyhow::Result<()> {
         runs.push(rules);
     }
     tell(&names, &runs);
+    tell_differences(&names, &runs);
     let total: f64 = runs.iter().map(|run| run.seconds).sum();
     println!("{total:.0} s of all trainings, one after the other");
     Ok(())
