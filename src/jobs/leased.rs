@@ -27,6 +27,10 @@ use tokio::task::JoinHandle;
 
 /// Minimum interval between progress reports.
 const REPORT: Duration = Duration::from_millis(250);
+/// How long to wait before an artifact that found no room, or no bucket, is tried again.
+const AGAIN: Duration = Duration::from_secs(1);
+/// How often a job that waits looks whether it was asked to stop.
+const LOOK: Duration = Duration::from_millis(100);
 
 impl From<store::Error> for JobError {
     fn from(error: store::Error) -> Self {
@@ -106,6 +110,47 @@ impl LeasedJob {
         }
         *reported = Some(Instant::now());
         true
+    }
+
+    /// Does something with an artifact, as often as it takes until there is room on the disk, or the
+    /// bucket is there again: the lease is renewed meanwhile, and what was computed is kept.
+    fn patiently<T>(&self, mut attempt: impl FnMut() -> store::Result<T>) -> Result<T> {
+        let mut waits = false;
+        loop {
+            match attempt() {
+                Err(error) if error.may_pass() => {
+                    if !std::mem::replace(&mut waits, true) {
+                        self.say_what_it_waits_for(&error);
+                    }
+                    self.pause()?;
+                }
+                done => return Ok(done?),
+            }
+        }
+    }
+
+    fn say_what_it_waits_for(&self, error: &store::Error) {
+        tracing::warn!(job = self.id(), %error, "an artifact waits; it is tried again");
+        let said = self.runtime.block_on(async {
+            let mut tx = self.store.write().await?;
+            tx.say(&self.lease, format!("waits: {error}")).await?;
+            tx.commit().await
+        });
+        if let Err(error) = said {
+            tracing::warn!(job = self.id(), %error, "could not say what it waits for");
+        }
+    }
+
+    /// Waits for a moment, unless it is asked to stop.
+    fn pause(&self) -> Result<()> {
+        let since = Instant::now();
+        while since.elapsed() < AGAIN {
+            if self.flow().is_break() {
+                return Err(JobError::Stopped);
+            }
+            std::thread::sleep(LOOK);
+        }
+        Ok(())
     }
 
     /// Publishes an event about the job, within `tx`.
@@ -231,11 +276,11 @@ impl JobHost for LeasedJob {
 
     fn checkpoint(&self) -> Result<Checkpoint> {
         let Some(sha256) = &self.checkpoint else { return Ok(Checkpoint::None) };
-        match self.runtime.block_on(self.store.artifacts().get(sha256)) {
+        self.patiently(|| match self.runtime.block_on(self.store.artifacts().get(sha256)) {
             Ok(bytes) => Ok(Checkpoint::Saved(bytes)),
             Err(error) if error.is_lost_part() => Ok(Checkpoint::Lost(error.to_string())),
-            Err(error) => Err(error.into()),
-        }
+            Err(error) => Err(error),
+        })
     }
 
     fn policy(&self, id: &str) -> Result<Option<Vec<u8>>> {
@@ -292,7 +337,7 @@ impl JobHost for LeasedJob {
     }
 
     fn put(&self, bytes: &[u8]) -> Result<String> {
-        Ok(self.runtime.block_on(self.store.artifacts().put(bytes))?)
+        self.patiently(|| self.runtime.block_on(self.store.artifacts().put(bytes)))
     }
 
     fn finish(&self, finished: &Finished<'_>) -> Result<()> {
@@ -320,6 +365,16 @@ mod tests {
         LeasedJob::new(store.clone(), &claimed, Arc::default(), Arc::default(), Handle::current())
     }
 
+    async fn queue(store: &Store, job: &str) {
+        let (subject, labels) = (Subject::default(), Labels::default());
+        let mut tx = store.write().await.unwrap();
+        let of = (None, &labels);
+        tx.insert_job(job, JobKind::Evaluation, ("{}", &[0; 32]), &subject, of, now())
+            .await
+            .unwrap();
+        tx.commit().await.unwrap();
+    }
+
     async fn claim(store: &Store, job: &str, at: i64) -> Lease {
         let [at, until] = [at, at + 10].map(Timestamp::from_unix_ms);
         let mut tx = store.write().await.unwrap();
@@ -345,18 +400,7 @@ mod tests {
     async fn without_its_lease_an_attempt_changes_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
-        let mut tx = store.write().await.unwrap();
-        tx.insert_job(
-            "j",
-            JobKind::Evaluation,
-            ("{}", &[0; 32]),
-            &Subject::default(),
-            (None, &Labels::default()),
-            now(),
-        )
-        .await
-        .unwrap();
-        tx.commit().await.unwrap();
+        queue(&store, "j").await;
         let late = leased(&store, claim(&store, "j", 0).await);
         let current = leased(&store, claim(&store, "j", 100).await);
         let before = store.job("j").await.unwrap().unwrap().job;
@@ -386,6 +430,42 @@ mod tests {
         assert!(job.flow().is_continue());
         job.stop.set(Stop::Cancelled);
         assert!(job.flow().is_break());
+    }
+
+    /// A file that found no room.
+    fn full() -> store::Error {
+        let source = std::io::Error::from(std::io::ErrorKind::StorageFull);
+        store::Error::File { path: "blobs/ab/abcd".into(), source }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_artifact_waits_for_room_and_a_job_that_is_asked_to_stop_does_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        queue(&store, "j").await;
+        // A lease that lasts as long as the test.
+        let job = leased(&store, claim(&store, "j", now().unix_ms() + 60_000).await);
+        let waited = move || {
+            job.report(&Progress { fraction: 0.5, message: "half".into() }).unwrap();
+            let mut tries = 0;
+            let stored = job.patiently(|| {
+                tries += 1;
+                if tries < 3 { Err(full()) } else { Ok("abcd") }
+            });
+            let refused: Result<()> = job.patiently(|| Err(store::Error::Corrupt("it".into())));
+            let stopped: Result<()> = job.patiently(|| {
+                job.stop.set(Stop::Shutdown);
+                Err(full())
+            });
+            (stored, tries, refused, stopped)
+        };
+        let (stored, tries, refused, stopped) = tokio::task::spawn_blocking(waited).await.unwrap();
+        assert_eq!((stored.unwrap(), tries), ("abcd", 3));
+        assert!(matches!(refused, Err(JobError::Fail(_))), "{refused:?}");
+        assert!(matches!(stopped, Err(JobError::Stopped)), "{stopped:?}");
+        let told = store.job("j").await.unwrap().unwrap().job.progress;
+        assert_eq!(told.fraction, 0.5);
+        assert!(told.message.starts_with("waits: blobs/ab/abcd"), "{}", told.message);
     }
 
     #[tokio::test(flavor = "multi_thread")]

@@ -264,12 +264,21 @@ impl Artifacts {
             return Ok(());
         }
         let claimed = async {
-            match self.owner().await? {
-                None if !joins => {}
-                owner => self.check_owner(owner, installation)?,
+            let owner = self.owner().await?;
+            let is_noted = owner.is_some();
+            if is_noted || joins {
+                self.check_owner(owner, installation)?;
             }
             // Written each time: this is how a start finds out whether it can.
-            self.put_at(&Key::from(OWNER), format!("{installation}\n").as_bytes()).await
+            let note = format!("{installation}\n");
+            match self.put_at(&Key::from(OWNER), note.as_bytes()).await {
+                // What is there can be read, and what must be written waits for room.
+                Err(error) if is_noted && error.is_full() => {
+                    tracing::warn!(%error, "there is no room for artifacts");
+                    Ok(())
+                }
+                noted => noted,
+            }
         };
         in_time(self, claimed).await
     }

@@ -200,6 +200,18 @@ impl Error {
     pub fn is_lost_part(&self) -> bool {
         matches!(self, Self::File { .. } | Self::Corrupt(_))
     }
+
+    /// Whether a file found no room on its disk, or in its owner's share of it.
+    pub fn is_full(&self) -> bool {
+        use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+        matches!(self, Self::File { source, .. } if matches!(source.kind(), StorageFull | QuotaExceeded))
+    }
+
+    /// Whether an artifact can be written or read as it is once somebody has made room, or a bucket
+    /// is there again.
+    pub fn may_pass(&self) -> bool {
+        self.is_full() || matches!(self, Self::ArtifactsAway { .. })
+    }
 }
 
 impl From<sqlx::Error> for Error {

@@ -263,6 +263,12 @@ impl Tx {
         self.emit_latest(&job_topic(&lease.job), "progress", &reported).await
     }
 
+    /// Say what a job waits for; its fraction stays.
+    pub async fn say(&mut self, lease: &Lease, message: String) -> Result<()> {
+        let fraction = self.prove(lease).await?.plain("fraction")?;
+        self.report(lease, &Progress { fraction, message }).await
+    }
+
     /// Set the artifact to resume from.
     pub async fn set_checkpoint(&mut self, lease: &Lease, sha256: &str) -> Result<()> {
         let old: Option<String> = self.prove(lease).await?.plain("checkpoint")?;

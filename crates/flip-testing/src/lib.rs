@@ -6,6 +6,7 @@
 //! folder.
 
 pub mod cable;
+pub mod disk;
 pub mod s3;
 
 use cable::Cable;

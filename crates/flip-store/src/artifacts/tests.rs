@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::{Storage, testing};
+use flip_testing::disk::Disk;
 use flip_testing::s3::{self, S3};
 use std::fs;
 use std::net::TcpListener;
@@ -348,4 +349,36 @@ fn a_storage_says_where_its_artifacts_are() {
     assert_eq!(elsewhere.artifacts().to_string(), "/srv/flip");
     assert_eq!(elsewhere.folder(), Path::new("flip-data"));
     assert!(format!("{elsewhere:?}").contains("/srv/flip"));
+}
+
+#[tokio::test]
+async fn a_full_disk_refuses_a_file_whole_and_a_start_only_where_no_other_start_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut disk = match Disk::mounted(folder.path()) {
+        Ok(disk) => disk,
+        Err(why) => return println!("left out: a disk that can be full: {why}"),
+    };
+    let artifacts = |below: &str| {
+        let at = folder.path().join(below);
+        Artifacts::at(at.to_str().unwrap(), std::iter::empty(), HASTY).unwrap()
+    };
+    let (known, unknown) = (artifacts("known"), artifacts("unknown"));
+    known.claim("north", false).await.unwrap();
+    let kept = known.put(b"there was room").await.unwrap();
+    disk.fill().unwrap();
+    let bytes = vec![7; 1 << 20];
+    let refused = known.put(&bytes).await.unwrap_err();
+    assert!(refused.is_full() && refused.may_pass(), "{refused:?}");
+    let found = known.files().await.unwrap();
+    let names: Vec<&str> = found.iter().map(|it| it.name.as_str()).collect();
+    assert_eq!(names, [&kept], "nothing half-written");
+    known.claim("north", false).await.unwrap();
+    assert_eq!(known.get(&kept).await.unwrap(), b"there was room");
+    let another = known.claim("south", false).await;
+    assert!(matches!(another, Err(Error::ArtifactsTaken(_))), "{another:?}");
+    let new = unknown.claim("north", false).await.unwrap_err();
+    assert!(new.is_full(), "{new:?}");
+    disk.make_room().unwrap();
+    unknown.claim("north", false).await.unwrap();
+    assert_eq!(known.put(&bytes).await.unwrap(), sha256_hex(&bytes));
 }
