@@ -13,7 +13,7 @@
 # make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal; not run yet (ARGS="3 100": repeats, size in %; FLIP_POSTGRES_BIN=folder of initdb)
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: a quarter of an hour (ARGS='--episodes 40')
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
-# make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped; not run whole yet (ARGS='4 2': 4 % of the faults, seed)
+# make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped, the network is cut, the disk fills up and clocks are set; not run whole yet (ARGS='4 2': 4 % of the faults, seed)
 # make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, an evaluation and a training by the commands; without a card it says so; not run whole yet (ARGS=speed)
 # make published-experiment   four orders, five seeds, 4000 episodes each, in the simulator on a graphics card, and doses with all policies: a quarter of an hour, stop it and call it again (STUDY=feed-forward ARGS=seconds=600)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes
@@ -29,7 +29,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults gpu-report published-experiment slim page-report pictures proto dist lint check tidy
+.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres faketime bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults gpu-report published-experiment slim page-report pictures proto dist lint check tidy
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -101,6 +101,12 @@ postgres:
 	DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y --no-install-recommends postgresql-common
 	$$as_root sed -i 's/^#\?create_main_cluster.*/create_main_cluster = false/' /etc/postgresql-common/createcluster.conf
 	DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y --no-install-recommends postgresql
+
+# Clocks that can be set, for tests only; without it that fault is left out.
+faketime:
+	ls /usr/lib/*/faketime/libfaketimeMT.so.1 > /dev/null 2>&1 && exit 0
+	as_root=; [ "$$(id -u)" = 0 ] || as_root=sudo
+	DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y --no-install-recommends faketime || true
 
 chromium:
 	command -v chromium chromium-browser google-chrome > /dev/null && exit 0
@@ -183,7 +189,7 @@ cluster: setup postgres
 	cargo build --release --locked --bin flip --example cluster
 	$(FLIP_BUILT) cargo run --quiet --release --locked --example cluster -- demonstration $(ARGS)
 
-faults: setup postgres
+faults: setup postgres faketime
 	cargo build --release --locked --bin flip --example cluster
 	$(FLIP_BUILT) cargo run --quiet --release --locked --example cluster -- faults $(ARGS)
 

@@ -24,7 +24,7 @@ pub(super) fn run(flip: &Flip, folder: &Path, arguments: &[String]) -> Result<()
     };
     let mut killed = (false, false);
     let document = loop {
-        if let Some(status) = demonstration.0.try_wait()? {
+        if let Some(status) = demonstration.child.try_wait()? {
             ensure!(status.success(), "the demonstration ended: {status}");
             break demonstration.said()?;
         }

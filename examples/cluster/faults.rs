@@ -1,16 +1,19 @@
-//! Mixed jobs while servers, workers and the database are killed, restarted and stopped at random:
-//! nothing is lost, nothing doubled, and every result is that of one undisturbed process.
+//! Mixed jobs while servers, workers and the database are killed, restarted and stopped at random,
+//! their network is cut, their disk fills up and their clocks are set: nothing is lost, nothing
+//! doubled, and every result is that of one undisturbed process.
 
+use super::clocks::Clocks;
 use super::process::{Flip, LOOK, Process, Server};
 use anyhow::{Context, Result, bail, ensure};
 use flip_testing::Cluster;
 use flip_testing::cable::Cable;
+use flip_testing::disk::Disk;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use reqwest::Client;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio::time::sleep;
@@ -24,19 +27,28 @@ enum Fault {
     RestartDatabase,
     CrashDatabase,
     CutNetwork,
+    FillDisk,
+    SetClock,
 }
 
-const ALL: [(Fault, &str, u32); 6] = [
+const ALL: [(Fault, &str, u32); 8] = [
     (Fault::KillWorker, "kill -9 of a worker", 700),
     (Fault::KillServer, "kill -9 of a server", 300),
     (Fault::StopWorker, "a worker stopped for 60 s, which then goes on", 100),
     (Fault::RestartDatabase, "PostgreSQL restarted", 100),
     (Fault::CrashDatabase, "PostgreSQL killed", 20),
     (Fault::CutNetwork, "the network to a server or the workers cut for 5 to 60 s", 100),
+    (Fault::FillDisk, "the disk of the artifacts full for 5 to 60 s", 100),
+    (Fault::SetClock, "the clock of a server or a worker set 10 or 20 minutes ahead or back", 100),
 ];
 
 /// How long a stopped worker stands still.
 const STOPPED: Duration = Duration::from_secs(60);
+/// How far clocks are from the right time, s: the machines of two such faults are up to 20 minutes
+/// apart.
+const OFF_S: [i64; 3] = [-600, 0, 600];
+/// The benches of the servers, and the names of their machines.
+const SERVERS: [&str; 2] = ["north", "south"];
 /// Jobs that are kept waiting or running.
 const OPEN: usize = 4;
 /// How long the last jobs may take to end, and how long a request is tried.
@@ -52,9 +64,18 @@ pub(super) async fn run(
     let number = |k: usize, usual: u64| arguments.get(k).map_or(Ok(usual), |text| text.parse());
     let (share, seed) = (number(0, 100)? as f64 / 100.0, number(1, 1)?);
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let artifacts = folder.join("artifacts");
+    let mut left_out = BTreeMap::new();
+    let disk = Disk::mounted(&artifacts);
+    let disk = disk.map_err(|why| left_out.insert(Fault::FillDisk, why)).ok();
+    let clocks = Clocks::in_folder(folder.join("clocks"));
+    let clocks = clocks.map_err(|why| left_out.insert(Fault::SetClock, why.to_string())).ok();
+    let artifacts = disk.is_some().then_some(artifacts);
+    let flip = &Flip { artifacts, clocks, ..flip.clone() };
     let times = |many: u32| (f64::from(many) * share).ceil() as usize;
+    let possible = ALL.iter().filter(|(fault, ..)| !left_out.contains_key(fault));
     let mut faults: Vec<Fault> =
-        ALL.iter().flat_map(|&(fault, _, many)| vec![fault; times(many)]).collect();
+        possible.flat_map(|&(fault, _, many)| vec![fault; times(many)]).collect();
     faults.shuffle(&mut rng);
     println!("{} faults, seed {seed}", faults.len());
 
@@ -63,6 +84,7 @@ pub(super) async fn run(
     let client = Client::builder().timeout(Duration::from_secs(5)).build()?;
     let cables = [cluster.cable(), cluster.cable(), cluster.cable()];
     let mut site = Site::start(flip, client, Vec::from(cables));
+    site.disk = disk;
     site.prepare().await?;
     let mut done = BTreeMap::<Fault, u32>::new();
     for (k, &fault) in faults.iter().enumerate() {
@@ -80,18 +102,23 @@ pub(super) async fn run(
     let results = site.results().await?;
     let asked = std::mem::take(&mut site.asked);
     site.end()?;
-    ensure!(flip.asked(&["doctor"])?.is_some(), "flip doctor is not content");
+    let found = flip.asked(&["doctor", "--thorough"])?.context("flip doctor is not content")?;
+    ensure!(!found.to_string().contains("\"lost\":[{"), "artifacts are lost: {found}");
     let alone = alone(flip, folder, &asked).await?;
 
     println!("| fault | how often |\n|---|---|");
     for (fault, name, _) in ALL {
-        println!("| {name} | {} |", done.get(&fault).unwrap_or(&0));
+        match left_out.get(&fault) {
+            Some(why) => println!("| {name} | left out: {why} |"),
+            None => println!("| {name} | {} |", done.get(&fault).unwrap_or(&0)),
+        }
     }
     let equal = results.iter().zip(&alone).filter(|(here, there)| here == there).count();
     let seconds = began.elapsed().as_secs();
     println!(
-        "\n{} jobs in {seconds} s: all succeeded, {equal} with the result of one undisturbed process; flip doctor is content",
-        asked.len()
+        "\n{} jobs in {seconds} s: all succeeded, {equal} with the result of one undisturbed process; flip doctor is content; {} jobs waited for room on the disk",
+        asked.len(),
+        site.waited.len()
     );
     ensure!(equal == asked.len(), "results differ");
     Ok(())
@@ -131,7 +158,15 @@ struct Site {
     started: u32,
     token: String,
     policy: String,
+    /// A parameter set.
+    set: String,
     asked: Vec<Asked>,
+    /// Where artifacts are, if it is a disk of its own.
+    disk: Option<Disk>,
+    /// Until when it stays full.
+    full: Option<Instant>,
+    /// Jobs that were seen to wait for room on it.
+    waited: HashSet<String>,
 }
 
 impl Site {
@@ -139,26 +174,43 @@ impl Site {
         let mut cables = cables.into_iter();
         let lines = std::array::from_fn(|_| Line::of(flip, cables.next()));
         let (servers, workers) = (Vec::new(), Vec::new());
-        let (token, policy, asked) = (String::new(), String::new(), Vec::new());
-        Self { lines, client, servers, workers, started: 0, token, policy, asked }
+        let (token, policy, set) = Default::default();
+        let (asked, disk, full, waited) = (Vec::new(), None, None, HashSet::new());
+        Self {
+            lines,
+            client,
+            servers,
+            workers,
+            started: 0,
+            token,
+            policy,
+            set,
+            asked,
+            disk,
+            full,
+            waited,
+        }
     }
 
     /// Starts everything, and makes what the jobs need.
     async fn prepare(&mut self) -> Result<()> {
-        self.servers.push(Server::of(self.lines[0].flip.server("north")?));
+        self.servers.push(Server::of(self.lines[0].flip.server(SERVERS[0])?));
         while self.servers[0].said().is_none() {
             ensure!(!self.servers[0].has_ended()?, "the first server did not start");
             sleep(LOOK).await;
         }
         let said = self.servers[0].said().context("what the first server said")?;
         self.token = said["token"].as_str().context("the first token")?.to_owned();
-        self.servers.push(Server::of(self.lines[1].flip.server("south")?));
+        self.servers.push(Server::of(self.lines[1].flip.server(SERVERS[1])?));
         self.mend()?;
         let policies = self.get("/v1/policies").await?;
         self.policy = policies["items"][0]["id"].as_str().context("a policy")?.to_owned();
         let (path, body) = sand();
         self.ask(path, body).await?;
-        self.settle().await
+        self.settle().await?;
+        let sets = self.get("/v1/parameter-sets?powder=sand").await?;
+        self.set = sets["items"][0]["id"].as_str().context("a parameter set")?.to_owned();
+        Ok(())
     }
 
     /// Starts again what has ended, and lets those go on that have stood still for long enough.
@@ -169,9 +221,14 @@ impl Site {
                 line.mended = None;
             }
         }
-        for ((server, bench), line) in
-            self.servers.iter_mut().zip(["north", "south"]).zip(&self.lines)
-        {
+        if let Some(disk) = &mut self.disk {
+            match self.full {
+                Some(until) if until > Instant::now() => disk.fill()?,
+                _ => disk.make_room()?,
+            }
+        }
+        self.full = self.full.filter(|&until| until > Instant::now());
+        for ((server, bench), line) in self.servers.iter_mut().zip(SERVERS).zip(&self.lines) {
             if server.has_ended()? {
                 *server = Server::of(line.flip.server(bench)?);
             }
@@ -184,7 +241,7 @@ impl Site {
         }
         let mut there = Vec::new();
         for (mut worker, stopped) in self.workers.drain(..) {
-            if worker.0.try_wait()?.is_none() {
+            if worker.child.try_wait()?.is_none() {
                 there.push((worker, stopped));
             }
         }
@@ -209,7 +266,7 @@ impl Site {
     /// The next job: none depends on one before.
     fn next(&self) -> (&'static str, Value) {
         let k = self.asked.len();
-        match k % 3 {
+        match k % 4 {
             0 => {
                 let (path, mut body) = sand();
                 let object = body.as_object_mut().expect("an object");
@@ -222,6 +279,8 @@ impl Site {
                 "evaluations",
                 json!({ "policy": self.policy, "controllers": ["fixed"], "powders": ["sand"], "targets_mg": [10], "repeats": 4, "particles": 1000, "seed": k }),
             ),
+            // A film is a file.
+            2 => ("films", json!({ "set": self.set, "seed": k })),
             _ => ("trainings", json!({ "episodes": 4, "powders": ["sand"], "seed": k })),
         }
     }
@@ -265,11 +324,17 @@ impl Site {
     }
 
     /// Number of jobs that have not ended.
-    async fn open(&self) -> Result<usize> {
+    async fn open(&mut self) -> Result<usize> {
         let mut open = 0;
         for state in ["queued", "running"] {
             let jobs = self.get(&format!("/v1/jobs?state={state}&limit=200")).await?;
-            open += jobs["items"].as_array().map_or(0, Vec::len);
+            for job in jobs["items"].as_array().into_iter().flatten() {
+                open += 1;
+                let message = job["progress"]["message"].as_str().unwrap_or_default();
+                if message.starts_with("waits: ") {
+                    self.waited.insert(job["id"].as_str().unwrap_or_default().to_owned());
+                }
+            }
         }
         Ok(open)
     }
@@ -291,6 +356,22 @@ impl Site {
                 let (worker, stopped) = one.context("a worker")?;
                 *stopped = Some(Instant::now());
                 worker.signal("STOP")
+            }
+            Fault::FillDisk => {
+                let disk = self.disk.as_mut().context("a disk")?;
+                self.full = Some(Instant::now() + Duration::from_secs(rng.random_range(5..=60)));
+                Ok(disk.fill()?)
+            }
+            Fault::SetClock => {
+                let names = SERVERS.map(str::to_owned).into_iter();
+                let going = self.workers.iter().filter(|it| it.1.is_none());
+                let names: Vec<String> =
+                    names.chain(going.map(|it| it.0.machine.clone())).collect();
+                let machine = &names[rng.random_range(0..names.len())];
+                let clocks = self.lines[2].flip.clocks.as_ref().context("clocks")?;
+                let now_s = clocks.ahead_s(machine)?;
+                let others: Vec<i64> = OFF_S.into_iter().filter(|&it| it != now_s).collect();
+                clocks.set(machine, others[rng.random_range(0..others.len())])
             }
             Fault::RestartDatabase => {
                 cluster.restart();
@@ -316,6 +397,7 @@ impl Site {
         let waits = |site: &Self| {
             site.workers.iter().any(|it| it.1.is_some())
                 || site.lines.iter().any(|line| line.mended.is_some())
+                || site.full.is_some()
         };
         while self.open().await? > 0 || waits(self) {
             if began.elapsed() > END {

@@ -4,6 +4,7 @@
 //! `cargo run --release --example cluster -- demonstration [arguments of flip demo]` and `… -- faults
 //! [share of the faults, %] [seed]`, or `make cluster` and `make faults`; `FLIP_BIN` is the program.
 
+mod clocks;
 mod demonstration;
 mod faults;
 mod process;
@@ -20,7 +21,8 @@ fn main() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let runtime = tokio::runtime::Runtime::new()?;
     let url = runtime.block_on(cluster.database_of(folder.path()));
-    let flip = Flip { program, files: folder.path().join("files"), url };
+    let files = folder.path().join("files");
+    let flip = Flip { program, files, url, artifacts: None, clocks: None };
     match arguments.split_first() {
         Some((what, rest)) if what == "demonstration" => {
             demonstration::run(&flip, folder.path(), rest)

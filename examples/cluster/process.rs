@@ -1,5 +1,6 @@
 //! Processes of FLIP that share a database.
 
+use super::clocks::Clocks;
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,10 @@ pub(super) struct Flip {
     pub program: PathBuf,
     pub files: PathBuf,
     pub url: String,
+    /// Where artifacts are, if not among the files.
+    pub artifacts: Option<PathBuf>,
+    /// The clocks of machines, if they are not this one's.
+    pub clocks: Option<Clocks>,
 }
 
 impl Flip {
@@ -24,12 +29,26 @@ impl Flip {
         let mut command = Command::new(&self.program);
         command.args(words).args(["--json", "--database-url", &self.url, "--data-dir"]);
         command.arg(&self.files).stdin(Stdio::null());
+        if let Some(artifacts) = &self.artifacts {
+            command.arg("--artifacts").arg(artifacts);
+        }
         command
+    }
+
+    /// A process on a machine of its own.
+    fn on(&self, machine: &str, mut command: Command) -> Result<Process> {
+        if let Some(clocks) = &self.clocks {
+            clocks.give(machine, &mut command)?;
+        }
+        let mut process = Self::started(command)?;
+        machine.clone_into(&mut process.machine);
+        Ok(process)
     }
 
     fn started(mut command: Command) -> Result<Process> {
         let child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
-        Ok(Process(child.with_context(|| format!("{command:?}"))?))
+        let child = child.with_context(|| format!("{command:?}"))?;
+        Ok(Process { child, machine: String::new() })
     }
 
     pub fn demonstrate(&self, arguments: &[String]) -> Result<Process> {
@@ -42,11 +61,11 @@ impl Flip {
         let words = ["serve", "--bench", "emulated", "--bench-name", bench];
         let mut command = self.command(&words);
         command.args(["--listen", "127.0.0.1:0"]);
-        Self::started(command)
+        self.on(bench, command)
     }
 
     pub fn worker(&self, name: &str) -> Result<Process> {
-        Self::started(self.command(&["worker", "--threads", "1", "--name", name]))
+        self.on(name, self.command(&["worker", "--threads", "1", "--name", name]))
     }
 
     /// What a command prints; none if it fails, as every command does before there is a schema.
@@ -78,29 +97,33 @@ impl Flip {
         command.args(["--json", "--data-dir"]).arg(folder.join("alone")).args(arguments);
         let mut process = Self::started(command)?;
         let document = process.said()?;
-        ensure!(process.0.wait()?.success(), "the demonstration alone failed");
+        ensure!(process.child.wait()?.success(), "the demonstration alone failed");
         Ok(document)
     }
 }
 
 /// A process, killed when dropped.
-pub(super) struct Process(pub Child);
+pub(super) struct Process {
+    pub child: Child,
+    /// The machine that it is on, if it is on one of its own.
+    pub machine: String,
+}
 
 impl Process {
     /// What it says until it ends, as one document.
     pub fn said(&mut self) -> Result<Value> {
-        let out = self.0.stdout.take().context("its output was read before")?;
+        let out = self.child.stdout.take().context("its output was read before")?;
         Ok(serde_json::from_reader(out)?)
     }
 
     pub fn kill(&mut self) -> Result<()> {
-        self.0.kill()?;
-        self.0.wait()?;
+        self.child.kill()?;
+        self.child.wait()?;
         Ok(())
     }
 
     pub fn signal(&self, name: &str) -> Result<()> {
-        let id = self.0.id().to_string();
+        let id = self.child.id().to_string();
         let sent = Command::new("kill").args([format!("-{name}"), id]).status()?;
         ensure!(sent.success(), "kill -{name}");
         Ok(())
@@ -109,7 +132,7 @@ impl Process {
     /// Asks it to end, as a service manager does.
     pub fn end(&mut self) -> Result<()> {
         self.signal("TERM")?;
-        until(|| Ok(self.0.try_wait()?.is_some()), "a process to end")
+        until(|| Ok(self.child.try_wait()?.is_some()), "a process to end")
     }
 }
 
@@ -122,7 +145,7 @@ pub(super) struct Server {
 impl Server {
     pub fn of(mut process: Process) -> Self {
         let said = Arc::<OnceLock<Value>>::default();
-        if let Some(out) = process.0.stdout.take() {
+        if let Some(out) = process.child.stdout.take() {
             let told = said.clone();
             // It ends with the process.
             std::thread::spawn(move || {
@@ -141,7 +164,7 @@ impl Server {
     }
 
     pub fn has_ended(&mut self) -> Result<bool> {
-        Ok(self.process.0.try_wait()?.is_some())
+        Ok(self.process.child.try_wait()?.is_some())
     }
 
     pub fn kill(&mut self) -> Result<()> {
@@ -156,8 +179,8 @@ impl Server {
 impl Drop for Process {
     fn drop(&mut self) {
         // It may have ended.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
