@@ -3,7 +3,7 @@
 
 Suites that talk to emulated devices, services and a browser within deadlines run one after another. They mostly wait; what
 they leave of the processor goes to the suites that only compute, two at a time in the scheduler's idle class, which gives way at once.
-The store's, the application's and that of kills run on SQLite, and once more on a private PostgreSQL.
+The store's, the application's, the interfaces' and that of kills run on SQLite, and once more on a private PostgreSQL.
 Every suite's output is in target/test/SUITE.log.
 """
 import concurrent.futures
@@ -27,6 +27,7 @@ CARGO = ["cargo", "test", "--locked", "--workspace", "--exclude", "flip-experime
 DATABASE = {
     "flip_store": [],
     "app": ["calibration::", "limits::", "simulator::", "spoons::", "training"],
+    "api": ["balance::", "characterisations::", "comparison::", "films::", "investigations::", "simulators::", "stop::three_hundred_pollers"],
     "kills": [],
 }
 ON_POSTGRES = "_on_postgresql"
