@@ -2,7 +2,8 @@
 //! whose clocks differ agree on when a lease ends and in which order things happened.
 //!
 //! Between two comparisons the server's time goes on as this machine's steady clock does: whoever
-//! sets this machine's clock while a process runs neither ends nor prolongs a lease.
+//! sets this machine's clock while a process runs neither ends nor prolongs a lease. A machine that
+//! has slept is behind until the next comparison; what it then writes late is refused by its fence.
 
 use flip_core::domain::timestamp::Timestamp;
 use sqlx::AnyPool;
