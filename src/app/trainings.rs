@@ -242,7 +242,8 @@ impl App {
     }
 
     /// The sets from the newest successful calibration of a powder, or of a bare angle; under a
-    /// simulator version, `None` being the base.
+    /// simulator version, `None` being the base. None, too, if that calibration reached its target with
+    /// no set: there is then nothing to train on or to weigh.
     pub(super) async fn calibrated_sets(
         &self,
         powder: Option<&str>,
@@ -251,7 +252,8 @@ impl App {
     ) -> Result<Option<Vec<CalibratedSet>>> {
         let newest = self.store().newest_calibration(powder, repose_deg, simulator).await?;
         let Some(calibration) = newest else { return Ok(None) };
-        Ok(Some(self.store().sets_of_calibration(&calibration).await?))
+        let sets = self.store().sets_of_calibration(&calibration).await?;
+        Ok((!sets.is_empty()).then_some(sets))
     }
 
     /// One training.

@@ -44,6 +44,28 @@ async fn a_training_stores_its_episodes_and_a_policy_that_can_be_downloaded() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_powder_whose_calibration_found_no_set_is_refused_before_anything_is_computed() {
+    let (folder, app) = open(functions()).await;
+    calibrated(&app, "sand").await;
+    // As an emulator leaves it whose simulator cannot reach the powder's angle.
+    let database = flip_testing::pool(folder.path()).await;
+    sqlx::query("DELETE FROM parameter_set").execute(&database).await.unwrap();
+    database.close().await;
+    let powders = Some(vec!["sand".to_owned()]);
+    let evaluation = EvaluationRequest {
+        powders: powders.clone(),
+        controllers: Some(vec!["paced".into()]),
+        ..Default::default()
+    };
+    let refused = app.start_evaluation(evaluation).await.unwrap_err().to_string();
+    assert!(refused.contains("`sand` has no parameter set: run `flip calibrate"), "{refused}");
+    let training = TrainingRequest { powders, ..Default::default() };
+    let refused = app.start_training(training).await.unwrap_err().to_string();
+    assert!(refused.contains("`sand` has no parameter set: run `flip calibrate"), "{refused}");
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_shut_down_training_resumes_and_ends_with_the_same_policy() {
     assert_eq!(events_of_a_resumed_training(|_| {}).await, 0);
 }
