@@ -12,8 +12,9 @@
 //! `published` is the `paper` preset with its recurrent network, `feed-forward` the same with a
 //! feed-forward network of the same width, `ours` our own preset without its surrogate. The spoons of
 //! a training's round are simulated on the card, those of all trainings at once; each training makes
-//! its updates on one core, one for each step as published (`ours` ten), with FLIP's own gradients. A
-//! round has `round=32` episodes, where the publication has one: that is the difference.
+//! one update for each step as published (`ours` ten), with FLIP's own gradients: of a recurrent network
+//! on one core, of another on the card. A round has `round=32` episodes, where the publication has one:
+//! that is the difference.
 //!
 //! Trainings stop after `seconds`, and go on from the folder `runs` when called again. Once all have
 //! ended, their policies weigh all powders on the card, `repeats=20` doses for each powder and target,
