@@ -42,8 +42,8 @@ async fn main() -> anyhow::Result<()> {
     let mut runs = HashMap::<(usize, &str), Vec<Run>>::new();
     for repeat in 0..repeats {
         for &many in &workers {
+            eprintln!("repeat {repeat}, workers: {many}");
             for run in on_workers(&cluster, many, size).await? {
-                eprintln!("repeat {repeat}, {many} workers, {}: {:.1} s", run.job, run.wall_s);
                 runs.entry((many, run.job)).or_default().push(run);
             }
         }
@@ -89,6 +89,14 @@ struct Run {
     wall_s: f64,
     /// The result without times of day.
     result: String,
+}
+
+impl Run {
+    /// Says how long it took, as the others may take much longer.
+    fn new(job: &'static str, wall_s: f64, result: String) -> Self {
+        eprintln!("  {job}: {wall_s:.1} s");
+        Self { job, wall_s, result }
+    }
 }
 
 /// A process that computes; killed when it is dropped.
@@ -139,7 +147,7 @@ async fn on_workers(cluster: &Cluster, many: usize, size: f64) -> anyhow::Result
     let (job, _) = app.start_calibration(calibration).await?;
     let wall_s = ends(&app, &job.id, begun).await?;
     let result = app.calibration(&job.id).await?.result.context("it has succeeded")?;
-    runs.push(Run { job: JOBS[0], wall_s, result: serde_json::to_string(&result)? });
+    runs.push(Run::new(JOBS[0], wall_s, serde_json::to_string(&result)?));
 
     let evaluation = EvaluationRequest {
         powders: Some(vec!["sand".into()]),
@@ -153,7 +161,7 @@ async fn on_workers(cluster: &Cluster, many: usize, size: f64) -> anyhow::Result
     let (job, _) = app.start_evaluation(evaluation).await?;
     let wall_s = ends(&app, &job.id, begun).await?;
     let result = app.evaluation(&job.id).await?.result.context("it has succeeded")?;
-    runs.push(Run { job: JOBS[1], wall_s, result: serde_json::to_string(&result)? });
+    runs.push(Run::new(JOBS[1], wall_s, serde_json::to_string(&result)?));
 
     let investigation = InvestigationRequest {
         shakes_csv: Some(shakes()),
@@ -166,7 +174,7 @@ async fn on_workers(cluster: &Cluster, many: usize, size: f64) -> anyhow::Result
     let wall_s = ends(&app, &job.id, begun).await?;
     let mut report = app.investigation(&job.id).await?.report.context("it has succeeded")?;
     report.wall_s = 0.0;
-    runs.push(Run { job: JOBS[2], wall_s, result: serde_json::to_string(&report)? });
+    runs.push(Run::new(JOBS[2], wall_s, serde_json::to_string(&report)?));
 
     drop(hired);
     app.shutdown().await?;
