@@ -14,6 +14,7 @@ constexpr float PATH_ERROR = 0.002f;      // more than a path as it is kept is o
 constexpr float DRIFT_UNIT = 262144.0f;   // the bulk's velocity is added up in whole numbers, too
 constexpr int RETRIES = 6;                // half the horizon each time there is no room for all pairs
 constexpr int CARRIED = 10;               // room for touching later neighbours of a grain
+constexpr int MARKED = 1024;              // added to their number where it does not suffice
 
 // A path in six numbers of 16 bits: its start from the grid's corner in 1/1024 of a diameter, and its
 // velocity in 1/32768. A grain outside that range counts as strayed in every substep.
@@ -123,7 +124,8 @@ FN int sort(const Block& block, const Work& work, const Law& law, int grains) {
 // While the list is built, `c` holds velocities.
 FN float4* velocities(const Work& work) { return reinterpret_cast<float4*>(work.c); }
 
-// And the room of `x` and `v` holds each grain's touching later neighbours: how many, and which.
+// And the room of `x` and `v` holds each grain's touching later neighbours: how many, and which. A grain
+// with more of them than there is room for is marked: its pairs are noted with the others.
 FN int* carried_count(const Work& work) { return reinterpret_cast<int*>(work.x); }
 FN Place* carried_place(const Work& work, int i, int k) {
     Place* rest = reinterpret_cast<Place*>(carried_count(work) + GRAINS);
@@ -170,8 +172,32 @@ FN bool approach(Vec r, Vec u, float rr, float near2, float horizon) {
     return smaller(rr, end) < near2 || (between && rr * uu - ru * ru < near2 * uu);
 }
 
-// Carries the touching pairs over. Returns whether a grain has more of them than a search can keep in
-// mind.
+// Notes the pairs of grains with too many touching later neighbours: with the later one, or where that
+// has no room left, with the grain itself. Returns whether there is none there either.
+FN bool note_elsewhere(const Block& block, const Work& work, const Memory& now, int grains) {
+    for (int i = block.thread; i < grains; i += block.threads) {
+        if (carried_count(work)[i] > CARRIED) carried_count(work)[i] = MARKED;
+    }
+    block.barrier();
+    bool crowded = false;
+    for (int t = block.thread; t < work.tally[TOUCHING]; t += block.threads) {
+        int a = now.touching[t] & 0xffff, b = now.touching[t] >> 16;
+        int* count = carried_count(work);
+        if (count[least(a, b)] < MARKED) continue;
+        int with = most(a, b), k = take_ticket(&count[with], 1);
+        k -= k < MARKED ? 0 : MARKED;
+        if (k >= CARRIED) with = least(a, b), k = take_ticket(&count[with], 1) - MARKED;
+        if (k < CARRIED) {
+            *carried_place(work, with, k) = Place(least(a, b) + most(a, b) - with);
+        } else {
+            crowded = true;
+        }
+    }
+    return block.any(crowded);
+}
+
+// Carries the touching pairs over. Returns whether there are more of them in one place than a search can
+// keep in mind.
 FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& now, int contacts,
               int grains) {
     for (int i = block.thread; i < grains; i += block.threads) carried_count(work)[i] = 0;
@@ -194,14 +220,24 @@ FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& n
         if (a > b) anchor = reversed(anchor);
         now.anchors[place] = make_uint2(anchor.x, anchor.y | TOUCHES);
     }
-    return block.any(crowded);
+    return block.any(crowded) && note_elsewhere(block, work, now, grains);
+}
+
+// Whether the pair of a marked grain and this later one is noted with the latter.
+FN bool is_noted(const Work& work, int i, int j) {
+    int count = carried_count(work)[j];
+    count = least(count < MARKED ? count : count - MARKED, CARRIED);
+    for (int k = 0; k < count; k++) {
+        if (*carried_place(work, j, k) == Place(i)) return true;
+    }
+    return false;
 }
 
 // A grain that looks for later neighbours.
 struct Seeker {
     Vec x, v;
     Carried carried;
-    bool crowded;
+    bool is_marked, crowded;
 };
 
 // Lists the neighbours among the grains at these places.
@@ -223,7 +259,7 @@ FN void search_line(const Work& work, Memory& now, int i, int from, int end, flo
         ONE_BY_ONE
         while (longest(hits != 0)) {
             int j = from + lowest(hits);
-            if (hits != 0 && !is_carried(me.carried, j)) {
+            if (hits != 0 && !is_carried(me.carried, j) && !(me.is_marked && is_noted(work, i, j))) {
                 int place = take_ticket(&work.tally[NEAR], 1);
                 if (place < PAIRS) {
                     now.near[place] = pair_of(i, j);
@@ -240,10 +276,12 @@ FN void search_line(const Work& work, Memory& now, int i, int from, int end, flo
 // Lists the later neighbours of the grain now at place `i`, or of none; returns whether there is no
 // room for them.
 FN bool search(const Work& work, const Law& law, Memory& now, int i, bool is_one, float horizon) {
-    Seeker me = Seeker{first3(work.p[i]), first3(velocities(work)[i]), Carried{}, false};
+    int touching = carried_count(work)[i];
+    bool is_marked = touching >= MARKED;
+    touching = least(is_marked ? touching - MARKED : touching, CARRIED);
+    Seeker me = Seeker{first3(work.p[i]), first3(velocities(work)[i]), Carried{}, is_marked, false};
     float near = 1.0f + law.grain.reach + 2.0f * SKIN;
     for (int k = 0; k < CARRIED / 2; k++) me.carried.pairs[k] = 0xffffffffu;
-    int touching = least(carried_count(work)[i], CARRIED);
     for (int k = 0; k < touching; k++) remember(me.carried, *carried_place(work, i, k));
     meet();
     Cell at = cell_of(law, me.x);

@@ -273,3 +273,56 @@ fn grains_need_not_be_in_order_and_a_spoon_that_fell_apart_is_a_fault() {
     assert_eq!(outcome.fault, Some(crate::Fault::TooFast));
     assert_eq!(outcome.substeps, 8, "it is given up at the first check");
 }
+
+/// This state, in which the lowest grains also remember that they touched each of these, far above.
+fn with_distant(state: &State, lowest: usize, partners: impl Fn(usize) -> Vec<usize>) -> State {
+    let mut by_height: Vec<usize> = (0..state.grains.len()).collect();
+    by_height.sort_by(|a, b| state.grains[*a].x[2].total_cmp(&state.grains[*b].x[2]));
+    let mut with = state.clone();
+    for (number, low) in by_height[..lowest].iter().enumerate() {
+        for partner in partners(number) {
+            let high = by_height[by_height.len() - 1 - partner];
+            let off: [f32; 3] =
+                [0, 1, 2].map(|k| state.grains[*low].x[k] - state.grains[high].x[k]);
+            let apart2 = off.iter().map(|x| x * x).sum::<f32>();
+            assert!(apart2 > 4.0, "they may touch");
+            with.stuck.push(([*low as u32, high as u32], off));
+        }
+    }
+    with
+}
+
+#[test]
+fn grains_with_more_touching_neighbours_than_there_is_room_for_move_like_the_others() {
+    let dispenser = small(0.8, 0.9);
+    let law = layout::law(&dispenser.spoon().expect("no mechanisms"));
+    let state = dispenser.state();
+    let cases = [
+        // One grain too many, then twice the room.
+        with_distant(&state, 1, |_| (0..11).collect()),
+        with_distant(&state, 1, |_| (0..20).collect()),
+        // Many grains that each have partners of their own, or all have the same.
+        with_distant(&state, 8, |number| (0..14).map(|k| 14 * number + k).collect()),
+        with_distant(&state, 8, |_| (0..14).collect()),
+    ];
+    let images = [vec![state], cases.into()].concat();
+    let images: Vec<_> =
+        images.iter().map(|state| layout::image(state).expect("few grains")).collect();
+    let bodies = vec![bodies(&dispenser)[..40].to_vec(); images.len()];
+    let Some((states, raw)) = carry_out(&[law], &images, &driven(images.len(), &bodies)) else {
+        return;
+    };
+    let mut after = states.iter().map(|words| {
+        let mut state = layout::state(words);
+        state.stuck.sort_by_key(|(pair, _)| *pair);
+        state
+    });
+    let expected = after.next().expect("the state as it was");
+    for (case, state) in after.enumerate() {
+        assert!(state == expected, "case {case} moved otherwise");
+    }
+    let outcomes = raw.outcomes.chunks(raw.outcomes.len() / images.len());
+    for outcome in outcomes {
+        assert_eq!(layout::outcome(outcome).fault, None);
+    }
+}
