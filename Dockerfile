@@ -42,6 +42,10 @@ RUN cargo build --release --locked --bin flip $([ "$TRAINING" != no ] || echo --
 RUN mkdir -p /image/lib && cp target/release/flip /image/ && { [ "$TRAINING" = no ] || cp .libtorch/lib/*.so* /image/lib/; }
 
 FROM debian:bookworm-slim
+# The public authorities, by whom webhooks, buckets and databases are known.
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends ca-certificates \
+    && rm -rf /var/lib/apt/lists/*
 COPY --from=program /image /opt/flip
 RUN ln -s /opt/flip/flip /usr/local/bin/flip \
     && useradd --uid 10001 --user-group --no-create-home --shell /usr/sbin/nologin flip \

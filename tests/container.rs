@@ -72,6 +72,15 @@ fn stand_in(folder: &Path) -> PathBuf {
     path
 }
 
+/// Without them no webhook, bucket or database behind TLS is reached, and the base image has none.
+#[test]
+fn the_image_has_certificates_of_the_public_authorities() {
+    let dockerfile = fs::read_to_string(Path::new(ROOT).join("Dockerfile")).unwrap();
+    let image = dockerfile.rsplit("\nFROM ").next().unwrap();
+    let mut installed = image.split("apt-get install").skip(1).flat_map(str::split_whitespace);
+    assert!(installed.any(|word| word == "ca-certificates"), "{image}");
+}
+
 #[test]
 fn the_images_build_context_gets_past_cargos_manifest() {
     let folder = context();

@@ -12,12 +12,15 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
+use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 
 const SERVERS: usize = 3;
 const WORKERS: usize = 2;
 /// How often something is looked for.
 const LOOK: Duration = Duration::from_millis(20);
+/// How many jobs are asked for side by side.
+const AT_ONCE: usize = 8;
 
 /// What a dose of the emulated bench writes.
 #[derive(Debug, Clone, Copy)]
@@ -219,9 +222,21 @@ async fn feed(callers: &Callers, pool: &PgPool, jobs: u64, made: &mut u64) -> an
     let mut clock = interval(Duration::from_secs(1));
     loop {
         clock.tick().await;
+        let mut asked = JoinSet::new();
         for _ in waiting(pool).await?..jobs {
             *made += 1;
-            callers.call(*made as usize, "/v1/calibrations", Some(&small(*made))).await?;
+            let (callers, seed) = (callers.clone(), *made);
+            asked.spawn(async move {
+                callers.call(seed as usize, "/v1/calibrations", Some(&small(seed))).await
+            });
+            if asked.len() >= AT_ONCE
+                && let Some(answer) = asked.join_next().await
+            {
+                answer??;
+            }
+        }
+        while let Some(answer) = asked.join_next().await {
+            answer??;
         }
     }
 }
@@ -260,7 +275,7 @@ async fn load(
     let mut clock = interval(Duration::from_secs_f64(1.0 / rate as f64));
     clock.set_missed_tick_behavior(MissedTickBehavior::Burst);
     let (begun, mut asked) = (Instant::now(), 0);
-    let mut all = tokio::task::JoinSet::new();
+    let mut all = JoinSet::new();
     while begun.elapsed() < lasting {
         let due = clock.tick().await;
         let (callers, k) = (callers.clone(), asked);
