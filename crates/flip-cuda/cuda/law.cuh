@@ -3,6 +3,13 @@
 #pragma once
 #include "platform.cuh"
 
+// What this build computes: spoonfuls, or heaps on a round base, into which grains are poured.
+#if defined(FLIP_HEAPS)
+constexpr bool HEAPS = true;
+#else
+constexpr bool HEAPS = false;
+#endif
+
 // One kind of contact; shares are of one substep and one side.
 struct Strengths {
     // Of an overlap and of an approach velocity. The dampings of pairs are multiplied by the drag,
@@ -26,6 +33,7 @@ struct Law {
     float origin[3];                       // the grid's corner
     float cell;                            // side of its cells
     int size[3];                           // cells along each axis
+    float plate;                           // radius of a heap's base
 };
 
 constexpr float RADIUS = 0.5f;
@@ -90,8 +98,25 @@ FN Touch bowl(const Law& law, Vec p) {
     return Touch{gap, scale(away, 1.0f / distance)};
 }
 
-// Whether a grain centred at `p` has left the spoon for good.
+// A horizontal round base at height 0 with a sharp rim. A cohesive grain can crawl around the rim: below
+// the base it touches the underside.
+FN Touch plate(const Law& law, Vec p) {
+    float level = p.x * p.x + p.y * p.y;
+    if (level < law.plate * law.plate) {
+        float side = p.z < -0.25f ? -1.0f : 1.0f;
+        return Touch{side * p.z - RADIUS, vec(0.0f, 0.0f, side)};
+    }
+    float to_rim = law.plate / larger(root(level), NEAREST);
+    Vec away = sub(p, vec(p.x * to_rim, p.y * to_rim, 0.0f));
+    float distance = larger(root(dot(away, away)), NEAREST);
+    return Touch{distance - RADIUS, scale(away, 1.0f / distance)};
+}
+
+FN Touch nearest(const Law& law, Vec p) { return HEAPS ? plate(law, p) : bowl(law, p); }
+
+// Whether a grain centred at `p` has left the spoon or the base for good.
 FN bool has_left(const Law& law, Vec p) {
+    if (HEAPS) return p.z < -1.0f;
     float f2 = p.x * p.x * law.inverse_squares[0] + p.y * p.y * law.inverse_squares[1]
         + p.z * p.z * law.inverse_squares[2];
     return p.z < -1.5f && f2 > 1.0f;

@@ -131,7 +131,7 @@ FN void add_near(const Block& block, const Work& work, const Pairs& law, Memory&
 // A grain's contact with the spoon.
 FN Pull wall_contact(const Law& law, Memory& memory, int i, float4 p, Vec u, bool touched) {
     const Strengths& c = law.wall;
-    Touch near = bowl(law, first3(p));
+    Touch near = nearest(law, first3(p));
     if (!(near.gap < c.reach)) return idle();
     float gap = near.gap - c.onset;
     float along = 0.0f - attract(gap, c);
@@ -338,9 +338,9 @@ FN void carry_out(const Block& block, const Work& work, const Law& law, Spoon& s
         for (int k = 0; run.fault == NONE; k++) {
             bool moves = k < todo.substeps;
             spent = k - todo.substeps;
-            if (!moves && spent % law.slice == 0 && (spent >= todo.rest_max || calm >= law.quiet)) {
-                break;
-            }
+            // A heap is told for how long; the rest of a spoonful ends at a check.
+            bool may_end = HEAPS || spent % law.slice == 0;
+            if (!moves && may_end && (spent >= todo.rest_max || calm >= law.quiet)) break;
             int in_slice = (moves ? k : spent) % law.slice;
             bool collects = in_slice == law.slice - 1;
             // After a check rest may end, and after a motion without rest another one begins.
@@ -357,12 +357,59 @@ FN void carry_out(const Block& block, const Work& work, const Law& law, Spoon& s
     }
 }
 
+// Adds the job's new grains to those in memory.
+FN void pour(const Block& block, const Work& work, Spoon& spoon, const Job& job, const Added* added) {
+    Memory& memory = spoon.memory[spoon.head.generation];
+    for (int k = block.thread; k < job.count; k += block.threads) {
+        int i = spoon.head.grains + k;
+        const Added& grain = added[job.added + k];
+        store3(work.x, i, load3(grain.x, 0));
+        store3(work.v, i, load3(grain.v, 0));
+        work.p[i].w = 1.0f;
+        memory.id[i] = grain.id;
+        memory.wall_touches[i] = 0;
+    }
+}
+
+// Squared speeds are added up as whole numbers of 40 bits, in two counters.
+constexpr float SPEED_UNIT = 1099511627776.0f;  // 2^40
+constexpr int SPEED_BITS = 20;
+
+// How high the heap is, and how fast its grains are.
+FN void survey(const Block& block, const Work& work, int grains, Outcome& outcome) {
+    int* sums = &work.tally[DRIFT];
+    if (block.thread < 3) sums[block.thread] = 0;
+    if (block.threads < 3) sums[1] = sums[2] = 0;
+    block.barrier();
+    int apex = 0, low = 0, high = 0;
+    for (int i = block.thread; i < grains; i += block.threads) {
+        Vec x = load3(work.x, i), v = load3(work.v, i);
+        if (x.x > 0.5f * FAR) continue;
+        // It touches two others or more.
+        if (work.p[i].w < 0.75f && x.z > 0.0f) apex = most(apex, int(bits_of(x.z)));
+        unsigned long long speed2 = (unsigned long long)(smaller(dot(v, v), 1.0f) * SPEED_UNIT);
+        low += int(speed2 & ((1u << SPEED_BITS) - 1));
+        high += int(speed2 >> SPEED_BITS);
+    }
+    block.raise_to(&sums[0], apex);
+    block.add_up(&sums[1], low);
+    block.add_up(&sums[2], high);
+    block.barrier();
+    if (block.thread == 0) {
+        outcome.apex = float_of(Bits(sums[0]));
+        outcome.speeds[0] = Bits(sums[1]);
+        outcome.speeds[1] = Bits(sums[2]);
+    }
+}
+
 // One job from beginning to end: the state comes from memory and goes back to it.
 FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spoon,
-                const Job& job, const Part* parts, const float2* bodies, int* rests,
-                const Losses& losses, Outcome& outcome) {
-    Run run = Run{spoon.head.grains, spoon.head.contacts, spoon.head.fault, 0, -1.0f, 0.0f, false, false};
-    for (int i = block.thread; i < run.grains; i += block.threads) {
+                const Job& job, const Part* parts, const float2* bodies, const Added* added,
+                int* rests, const Losses& losses, Outcome& outcome) {
+    int before = spoon.head.grains, poured = HEAPS ? job.count : 0;
+    Run run = Run{before + poured, spoon.head.contacts, spoon.head.fault, 0, -1.0f, 0.0f, false, false};
+    if (HEAPS) pour(block, work, spoon, job, added);
+    for (int i = block.thread; i < before; i += block.threads) {
         store3(work.x, i, first3(spoon.x[i]));
         store3(work.v, i, first3(spoon.v[i]));
         work.p[i].w = spoon.x[i].w;
@@ -375,6 +422,7 @@ FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spo
     block.barrier();
     carry_out(block, work, law, spoon, job, parts, bodies, rests, losses, run);
     block.barrier();
+    if (HEAPS) survey(block, work, run.grains, outcome);
     for (int i = block.thread; i < run.grains; i += block.threads) {
         spoon.x[i] = with(load3(work.x, i), work.p[i].w);
         spoon.v[i] = with(load3(work.v, i), 0.0f);
@@ -392,5 +440,6 @@ FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spo
         outcome.rebuilds = head.rebuilds - rebuilds;
         outcome.kept = run.grains - work.tally[LISTED_LEFT];
         outcome.crowded = head.crowded;
+        outcome.places = run.grains;
     }
 }

@@ -6,7 +6,7 @@ constexpr int ROOM = 7 * 4 * GRAINS;  // bytes of `c` and `x`
 
 template <bool SMALL>
 FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
-               const float2* bodies, int* rests, int* lost, Departed* departed,
+               const float2* bodies, const Added* added, int* rests, int* lost, Departed* departed,
                Outcome* outcomes, char* room) {
     extern __shared__ float4 shared[];
     __shared__ int tally[TALLIES];
@@ -40,14 +40,14 @@ FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
     work.former = work.present + GRAINS;
     work.first = work.former + GRAINS;
     work.tally = tally;
-    work_on(block, work, law, all[job.spoon], job, parts, bodies, rests,
+    work_on(block, work, law, all[job.spoon], job, parts, bodies, added, rests,
             Losses{lost, departed}, outcomes[job.place]);
 }
 
 #define PARAMETERS \
     const Job *jobs, const Law *laws, Spoon *all, const Part *parts, const float2 *bodies, \
-        int *rests, int *lost, Departed *departed, Outcome *outcomes, char *room
-#define ARGUMENTS jobs, laws, all, parts, bodies, rests, lost, departed, outcomes, room
+        const Added *added, int *rests, int *lost, Departed *departed, Outcome *outcomes, char *room
+#define ARGUMENTS jobs, laws, all, parts, bodies, added, rests, lost, departed, outcomes, room
 
 extern "C" __global__ void __launch_bounds__(896, 1) flip_spoons(PARAMETERS) {
     spoons<false>(ARGUMENTS);

@@ -58,6 +58,13 @@ struct Job {
     int spoon, law;                // places in the tables of spoons and laws
     int first, parts;              // parts of the plan
     int place;                     // of its outcome
+    int added, count;              // grains that are poured first, in their table
+};
+
+// A grain that is poured.
+struct Added {
+    float x[3], v[3];
+    unsigned id;
 };
 
 struct Outcome {
@@ -67,7 +74,9 @@ struct Outcome {
     int rebuilds;
     int kept;                      // grains still in the spoon
     int crowded;
-    int unused[2];
+    int places;                    // as `Head::grains`
+    float apex;                    // height of the highest grain that touches two others or more
+    Bits speeds[2];                // sum of the squared speeds: lower 20 of 40 bits, and upper
 };
 
 struct Departed {

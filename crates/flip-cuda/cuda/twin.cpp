@@ -26,7 +26,7 @@ int main(int count, char** arguments) {
     FILE* from = std::fopen(arguments[1], "rb");
     FILE* to = std::fopen(arguments[2], "wb");
     if (!from || !to) return 1;
-    auto counts = read<int>(from, 5);
+    auto counts = read<int>(from, 6);
     auto laws = read<Law>(from, counts[0]);
     std::vector<Spoon> spoons(counts[1]);
     for (auto& spoon : spoons) {
@@ -35,6 +35,7 @@ int main(int count, char** arguments) {
     auto jobs = read<Job>(from, counts[2]);
     auto parts = read<Part>(from, counts[3]);
     auto bodies = read<float2>(from, counts[4]);
+    auto added = read<Added>(from, counts[5]);
     std::vector<float4> p(GRAINS);
     std::vector<int4> sums(GRAINS);
     std::vector<float> x(3 * GRAINS), v(3 * GRAINS);
@@ -47,7 +48,7 @@ int main(int count, char** arguments) {
                  former.data(), tally.data()};
     for (const Job& job : jobs) {
         work_on(Block{0, 1}, work, laws[job.law], spoons[job.spoon], job, parts.data(),
-                bodies.data(), rests.data(), Losses{&lost, departed.data()},
+                bodies.data(), added.data(), rests.data(), Losses{&lost, departed.data()},
                 outcomes[job.place]);
     }
     for (auto& spoon : spoons) {

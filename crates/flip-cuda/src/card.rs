@@ -6,7 +6,8 @@ use crate::orders::{Orders, Raw};
 use crate::{Refused, Result};
 use cudarc::driver::sys::{CUdevice_attribute, CUevent_flags, CUfunction_attribute};
 use cudarc::driver::{
-    CudaContext, CudaFunction, CudaSlice, CudaStream, DriverError, LaunchConfig, PushKernelArg,
+    CudaContext, CudaFunction, CudaModule, CudaSlice, CudaStream, DriverError, LaunchConfig,
+    PushKernelArg,
 };
 use cudarc::nvrtc::Ptx;
 use std::sync::Arc;
@@ -14,7 +15,9 @@ use std::time::Instant;
 
 /// Built by `build_ptx.py` from the sources in `cuda/`.
 const KERNELS: &str = include_str!("../ptx/spoons.ptx");
-/// The same without fused multiplication and addition.
+/// The same for heaps.
+const HEAPS: &str = include_str!("../ptx/heaps.ptx");
+/// Those for spoons without fused multiplication and addition.
 const EXACT: &str = include_str!("../ptx/spoons_exact.ptx");
 /// Updates of learners; not fused beyond what the source says.
 const LEARNERS: &str = include_str!("../ptx/learner.ptx");
@@ -144,13 +147,7 @@ impl Card {
         let context = CudaContext::new(number).map_err(bad)?;
         let is_small = small || !found.is_large;
         let module = context.load_module(Ptx::from_src(kernels)).map_err(bad)?;
-        let kernel =
-            module.load_function(if is_small { "flip_spoons_small" } else { "flip_spoons" })?;
-        let shared = if is_small { layout::SHARED_SMALL } else { layout::SHARED };
-        kernel.set_attribute(
-            CUfunction_attribute::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES,
-            shared as i32,
-        )?;
+        let kernel = function(&module, is_small)?;
         let multiprocessors =
             context.attribute(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT)?;
         let multiprocessors = multiprocessors as usize;
@@ -191,7 +188,14 @@ impl Card {
         Ok(module.load_function("flip_learners")?)
     }
 
-    /// Carries out the orders on these spoons, and waits for the end.
+    /// The same card with the kernel for heaps, compiled for it.
+    pub(crate) fn for_heaps(&self) -> Result<Self> {
+        let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
+        let module = self.stream.context().load_module(Ptx::from_src(HEAPS)).map_err(bad)?;
+        Ok(Self { kernel: function(&module, self.is_small)?, ..self.clone() })
+    }
+
+    /// Carries out the orders on these spoons, or heaps, and waits for the end.
     pub(crate) fn carry_out(
         &self,
         laws: &CudaSlice<u32>,
@@ -207,6 +211,7 @@ impl Card {
         // No table may be empty.
         let parts = stream.clone_htod(&padded(&orders.parts, 0))?;
         let bodies = stream.clone_htod(&padded(&orders.bodies, 0.0))?;
+        let added = stream.clone_htod(&padded(&orders.added, 0))?;
         let mut rests = stream.alloc_zeros::<u32>((orders.parts.len() / layout::PART).max(1))?;
         let mut lost = stream.alloc_zeros::<u32>(1)?;
         let mut outcomes = stream.alloc_zeros::<u32>(jobs * layout::OUTCOME)?;
@@ -228,7 +233,7 @@ impl Card {
         stream.synchronize()?;
         let start = Instant::now();
         let mut launch = stream.launch_builder(&self.kernel);
-        launch.arg(&job_table).arg(laws).arg(spoons).arg(&parts).arg(&bodies);
+        launch.arg(&job_table).arg(laws).arg(spoons).arg(&parts).arg(&bodies).arg(&added);
         launch.arg(&mut rests).arg(&mut lost).arg(&mut departed).arg(&mut outcomes);
         launch.arg(&mut room);
         #[allow(unsafe_code)]
@@ -256,6 +261,18 @@ impl Card {
         stream.synchronize()?;
         Ok(raw)
     }
+}
+
+/// A module's kernel, with the shared memory that it needs.
+fn function(module: &Arc<CudaModule>, is_small: bool) -> Result<CudaFunction> {
+    let kernel =
+        module.load_function(if is_small { "flip_spoons_small" } else { "flip_spoons" })?;
+    let shared = if is_small { layout::SHARED_SMALL } else { layout::SHARED };
+    kernel.set_attribute(
+        CUfunction_attribute::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES,
+        shared as i32,
+    )?;
+    Ok(kernel)
 }
 
 /// Waits for what the stream has been given, and leaves the core to others meanwhile: a card may take

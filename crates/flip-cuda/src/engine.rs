@@ -1,7 +1,8 @@
 //! A card as an engine of batches, and of updates.
 
-use crate::{Bed, Card, CardError, Learners, Spoons};
+use crate::{Bed, Card, CardError, Heaps, Learners, Spoons};
 use flip_core::learner::{Drawn, Learned, Losses, Shape};
+use flip_sim::batch::heaps;
 use flip_sim::batch::{Batch, Engine, Failed, Motion, Stand, Updates};
 use flip_sim::dispense::Dispenser;
 
@@ -32,6 +33,10 @@ impl Engine for Card {
             true => Ok(Some(Box::new(Learners::empty(self, *shape, 1)?))),
             false => Ok(None),
         }
+    }
+
+    fn heaps(&self, places: usize) -> Result<Option<Box<dyn heaps::Heaps>>, Failed> {
+        Ok(Some(Box::new(Heaps::empty(self, places)?)))
     }
 }
 

@@ -2,6 +2,7 @@
 //! `cuda/state.cuh`.
 
 use crate::Fault;
+use flip_sim::batch::heaps::Ground;
 use flip_sim::dispense::outside::{Departed, Grain, Spoon, State, Strengths};
 
 /// Room for grains of a spoon.
@@ -11,12 +12,14 @@ const CONTACTS: usize = 16384;
 const PAIRS: usize = 16384;
 /// Room for cells of the search grid.
 const CELLS: usize = 4096;
-/// Words of a spoon's head, its law, a part of a plan, a job, an outcome, a departed grain.
-const HEAD: usize = 32;
-pub(crate) const LAW: usize = 37;
+/// Words of a spoon's head, its law, a part of a plan, a job, an outcome, a grain that is poured, a
+/// departed grain.
+pub(crate) const HEAD: usize = 32;
+pub(crate) const LAW: usize = 38;
 pub(crate) const PART: usize = 5;
-pub(crate) const JOB: usize = 5;
-pub(crate) const OUTCOME: usize = 8;
+pub(crate) const JOB: usize = 7;
+pub(crate) const OUTCOME: usize = 10;
+pub(crate) const ADDED: usize = 7;
 pub(crate) const DEPARTED: usize = 9;
 /// Words of what a spoon's grains remember.
 const MEMORY: usize = (4 + 1 + 1) * GRAINS + CONTACTS + 2 * CONTACTS + PAIRS;
@@ -52,21 +55,43 @@ const ANCHOR_BITS: u32 = 0x1f_ffff;
 /// The law's numbers as the kernel reads them.
 pub(crate) fn law(spoon: &Spoon) -> Vec<u32> {
     let [a, b, c] = spoon.semi_axes;
-    let mut words = Vec::with_capacity(LAW);
+    let mut words = contacts(&spoon.grain, &spoon.wall, spoon.drag);
     let mut tell = |numbers: &[f32]| words.extend(numbers.iter().map(|x| x.to_bits()));
-    // Pairs are given velocities before the drag.
-    tell(&strengths(&Strengths {
-        normal_damping: spoon.grain.normal_damping * spoon.drag,
-        tangential_damping: spoon.grain.tangential_damping * spoon.drag,
-        ..spoon.grain
-    }));
-    tell(&strengths(&spoon.wall));
     let within = |axis: f32| (1.0 - (0.5 + spoon.wall.reach + CLEARANCE) / axis).max(0.0).powi(2);
     tell(&[spoon.drag, 1.0 / (a * a), 1.0 / (b * b), 1.0 / (c * c), c]);
     tell(&[within(a.min(b).min(c)), within(a.min(b)), spoon.rest_speed * spoon.rest_speed]);
     words.extend([spoon.quiet, spoon.slice]);
-    let low = [-a - 3.0, -b - 3.0, -c - 1.5];
-    let high = [a + 3.0, b + 3.0, HEADROOM];
+    words.extend(grid([-a - 3.0, -b - 3.0, -c - 1.5], [a + 3.0, b + 3.0, HEADROOM]));
+    words.push(0.0f32.to_bits());
+    words
+}
+
+/// The same of a heap on its base.
+pub(crate) fn ground(of: &Ground) -> Vec<u32> {
+    let mut words = contacts(&of.grain, &of.wall, of.drag);
+    words.push(of.drag.to_bits());
+    // No bowl, and no speed at which it rests by itself.
+    words.extend([0; 7]);
+    words.extend([i32::MAX as u32, of.slice]);
+    let wide = of.radius + 3.0;
+    words.extend(grid([-wide, -wide, -2.0], [wide, wide, 1.3 * of.radius + HEADROOM]));
+    words.push(of.radius.to_bits());
+    words
+}
+
+/// Between grains, and at walls. Pairs are given velocities before the drag.
+fn contacts(grain: &Strengths, wall: &Strengths, drag: f32) -> Vec<u32> {
+    let grain = Strengths {
+        normal_damping: grain.normal_damping * drag,
+        tangential_damping: grain.tangential_damping * drag,
+        ..*grain
+    };
+    let both = [strengths(&grain), strengths(wall)];
+    both.iter().flatten().map(|x| x.to_bits()).collect()
+}
+
+/// A grid from corner to corner, with no more cells than there is room for.
+fn grid(low: [f32; 3], high: [f32; 3]) -> [u32; 7] {
     let mut cell = CELL;
     let size = loop {
         let size = [0, 1, 2].map(|k| ((high[k] - low[k]) / cell).ceil() as u32);
@@ -75,9 +100,8 @@ pub(crate) fn law(spoon: &Spoon) -> Vec<u32> {
         }
         cell *= 1.05;
     };
-    words.extend(low.iter().chain([&cell]).map(|x| x.to_bits()));
-    words.extend(size);
-    words
+    let [x, y, z] = low.map(f32::to_bits);
+    [x, y, z, cell.to_bits(), size[0], size[1], size[2]]
 }
 
 fn strengths(of: &Strengths) -> [f32; 10] {
@@ -187,13 +211,19 @@ pub(crate) fn state(words: &[u32]) -> State {
 }
 
 /// What became of a job.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Outcome {
     pub fault: Option<Fault>,
     pub substeps: u32,
     pub rebuilds: u32,
     pub kept: u32,
     pub crowded: u32,
+    /// Places in use, with grains that left since the last list.
+    pub places: u32,
+    /// Height of the highest grain that touches two others or more, diameters.
+    pub apex: f32,
+    /// Sum of the squared speeds, diameters per substep squared.
+    pub speeds2: f64,
 }
 
 pub(crate) fn outcome(words: &[u32]) -> Outcome {
@@ -202,7 +232,17 @@ pub(crate) fn outcome(words: &[u32]) -> Outcome {
         2 => Some(Fault::Overfull),
         _ => Some(Fault::TooFast),
     };
-    Outcome { fault, substeps: words[2], rebuilds: words[3], kept: words[4], crowded: words[5] }
+    let [low, high] = [words[8], words[9]].map(f64::from);
+    Outcome {
+        fault,
+        substeps: words[2],
+        rebuilds: words[3],
+        kept: words[4],
+        crowded: words[5],
+        places: words[6],
+        apex: f32::from_bits(words[7]),
+        speeds2: (high * 1_048_576.0 + low) / 1_099_511_627_776.0,
+    }
 }
 
 /// A grain that left, with the place of its job.

@@ -1,4 +1,4 @@
-//! Spoons of simulated powder on a graphics card, many at once.
+//! Spoons and heaps of simulated powder on a graphics card, many at once.
 //!
 //! The physics is that of [`flip_sim`], whose theory the kernels under `cuda/` follow: the same
 //! contacts, friction with memory, cohesion, damping and bowl, the same motion of the spoon, and the
@@ -14,6 +14,11 @@
 //! later two such runs differ like two seeds; their statistics are compared by the program
 //! `gpu_report`.
 //!
+//! # Heaps
+//!
+//! [`Heaps`] pours heaps of the experiment of [`flip_sim::repose`]: the same kernel, built with a round
+//! base instead of a bowl, adds grains and advances every heap by its next layer in one launch.
+//!
 //! # Learners
 //!
 //! [`Learners`] makes updates of Soft Actor-Critic, of many trainings in one launch. Its results are
@@ -27,7 +32,7 @@
 //!
 //! # Limits
 //!
-//! Mechanisms beyond the base simulator and heaps are not on the card. A spoon has at most 2560
+//! Mechanisms beyond the base simulator are not on the card. A spoon or heap has at most 2560
 //! grains.
 
 /// Version of what a card computes of spoons. It is raised whenever the same inputs give other bytes.
@@ -41,6 +46,9 @@ mod engine;
 #[cfg(test)]
 mod engine_tests;
 mod found;
+mod heaps;
+#[cfg(test)]
+mod heaps_tests;
 mod layout;
 mod learner;
 mod learner_layout;
@@ -58,6 +66,7 @@ mod twin;
 pub use bed::{Bed, GRAINS_MAX, Refused};
 pub use card::{Card, CardError};
 pub use found::{Found, find, find_all};
+pub use heaps::Heaps;
 pub use learner::Learners;
 pub use spoons::{Poured, Spoons};
 

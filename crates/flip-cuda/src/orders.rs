@@ -27,6 +27,8 @@ pub(crate) struct Orders {
     pub jobs: Vec<u32>,
     pub parts: Vec<u32>,
     pub bodies: Vec<f32>,
+    /// Grains that are poured.
+    pub added: Vec<u32>,
     /// By place, as the parts.
     pub plans: Vec<Plan>,
     /// First part of each place.
@@ -94,7 +96,9 @@ pub(crate) fn plan(tasks: &[Task]) -> Orders {
     for (_, place) in weights {
         let (first, parts) = (orders.firsts[place], orders.plans[place].parts.len());
         let task = &tasks[place];
-        orders.jobs.extend([task.spoon, task.law, first, parts, place].map(|number| number as u32));
+        orders
+            .jobs
+            .extend([task.spoon, task.law, first, parts, place, 0, 0].map(|number| number as u32));
     }
     orders
 }

@@ -53,16 +53,34 @@ pub(crate) fn carry_out(
     spoons: &[Vec<u32>],
     orders: &Orders,
 ) -> Option<(Vec<Vec<u32>>, Raw)> {
-    let program = built("cuda/twin.cpp")?;
+    carry_out_by("cuda/twin.cpp", laws, spoons, orders)
+}
+
+/// The same by another twin, of heaps.
+pub(crate) fn carry_out_by(
+    twin: &'static str,
+    laws: &[Vec<u32>],
+    spoons: &[Vec<u32>],
+    orders: &Orders,
+) -> Option<(Vec<Vec<u32>>, Raw)> {
+    let program = built(twin)?;
     let folder = tempfile::tempdir().expect("a folder for the jobs");
     let (input, output) = (folder.path().join("in"), folder.path().join("out"));
     let (jobs, parts) = (orders.jobs.len() / layout::JOB, orders.parts.len() / layout::PART);
-    let counts = [laws.len(), spoons.len(), jobs, parts, orders.bodies.len() / 2];
+    let counts = [
+        laws.len(),
+        spoons.len(),
+        jobs,
+        parts,
+        orders.bodies.len() / 2,
+        orders.added.len() / layout::ADDED,
+    ];
     let mut words: Vec<u32> = counts.iter().map(|count| *count as u32).collect();
     for table in laws.iter().chain(spoons).chain([&orders.jobs, &orders.parts]) {
         words.extend(table);
     }
     words.extend(orders.bodies.iter().map(|x| x.to_bits()));
+    words.extend(&orders.added);
     let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
     std::fs::write(&input, bytes).expect("the jobs are written");
     let status = Command::new(program).args([&input, &output]).status().expect("the twin runs");

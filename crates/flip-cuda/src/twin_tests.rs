@@ -45,7 +45,7 @@ fn moved(dispenser: &Dispenser, motion: Motion) -> Option<(State, Poured)> {
 fn driven(spoons: usize, bodies: &[Vec<[f32; 2]>]) -> Orders {
     let mut orders = Orders::default();
     for (place, bodies) in bodies.iter().enumerate().take(spoons) {
-        orders.jobs.extend([place, 0, place, 1, place].map(|number| number as u32));
+        orders.jobs.extend([place, 0, place, 1, place, 0, 0].map(|number| number as u32));
         orders.parts.extend([(orders.bodies.len() / 2) as u32, bodies.len() as u32, 0, 0, 0]);
         orders.bodies.extend(bodies.iter().flatten());
     }

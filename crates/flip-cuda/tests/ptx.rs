@@ -4,17 +4,22 @@ use sha2::{Digest, Sha256};
 use std::path::Path;
 use std::process::Command;
 
-/// With other kernels for spoons, results stored under the present version are not those of the same
-/// inputs any more.
+/// With other kernels for spoons or heaps, results stored under the present version are not those of the
+/// same inputs any more.
 #[test]
 fn the_version_is_that_of_these_kernels() {
-    let kernels = Path::new(env!("CARGO_MANIFEST_DIR")).join("ptx/spoons.ptx");
-    let Ok(kernels) = std::fs::read(kernels) else {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("ptx");
+    let read = |name: &str| std::fs::read(folder.join(name)).ok();
+    let (Some(spoons), Some(heaps)) = (read("spoons.ptx"), read("heaps.ptx")) else {
         return println!("skipped: the kernels are not on this machine");
     };
-    let known = (3, "f6b54e73f2caf23a3bc4473f70e3cb9606819cd981ec8532aac503cac10a8bf1");
-    let found = hex::encode(Sha256::digest(kernels));
-    assert_eq!((flip_cuda::VERSION, found.as_str()), known, "raise flip_cuda::VERSION");
+    let known = (
+        3,
+        "ad525b44b3c0ef57519300035b81aa00e7424f7703db2b4273b313b2d4408de9",
+        "6d070a855754f5285e87f1fc3af8ce8b732fb0bc8049c38aa826abc37a9e7318",
+    );
+    let [spoons, heaps] = [spoons, heaps].map(|kernels| hex::encode(Sha256::digest(kernels)));
+    assert_eq!((flip_cuda::VERSION, &*spoons, &*heaps), known, "raise flip_cuda::VERSION");
 }
 
 /// Runs where `FLIP_NVCC` names a folder with the compiler, as `build_ptx.py` fetches it.

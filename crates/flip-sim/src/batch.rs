@@ -11,6 +11,7 @@
 //! An [`Engine`] is chosen at run time. What a spoon pours depends on its bed and its motions alone, not
 //! on the other spoons of the batch.
 
+pub mod heaps;
 mod seats;
 mod several;
 
@@ -125,6 +126,14 @@ pub trait Engine: Send + Sync {
     /// # Errors
     /// A device that fails, or has too little memory.
     fn updates(&self, _: &Shape) -> Result<Option<Box<dyn Updates>>, Failed> {
+        Ok(None)
+    }
+
+    /// So many empty places for heaps; none if they are better computed one by one on cores.
+    ///
+    /// # Errors
+    /// A device that fails, or has too little memory.
+    fn heaps(&self, _places: usize) -> Result<Option<Box<dyn heaps::Heaps>>, Failed> {
         Ok(None)
     }
 }

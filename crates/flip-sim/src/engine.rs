@@ -5,7 +5,7 @@ use super::grains::Grains;
 use super::law::Law;
 use super::mechanisms::Site;
 use super::physx;
-use super::repose::Settings;
+use super::repose::{DEPARTURE_CHECK, Settings};
 use super::snapshot::Snapshot;
 use super::walls::{Plate, Shape};
 use flip_core::domain::parameters::ParameterSet;
@@ -40,6 +40,15 @@ pub(super) trait Engine {
     fn pour(&mut self, x: Vector, v: Vector);
     /// Advances one step.
     fn step(&mut self);
+    /// Advances so many steps, and removes the grains that fell off.
+    fn advance(&mut self, steps: u32) {
+        for step in 0..steps {
+            self.step();
+            if step % DEPARTURE_CHECK == 0 {
+                self.drop_departed();
+            }
+        }
+    }
     /// Removes the grains that fell off.
     fn drop_departed(&mut self);
     fn centres(&self) -> &[Vector];
@@ -49,6 +58,11 @@ pub(super) trait Engine {
     fn snapshot(&self, time_s: f64) -> Snapshot;
     /// Velocities in the order of the centres; the fourth number counts contacts.
     fn velocities(&self) -> &[Vector];
+    /// Height of the highest grain that rests on others, or of the base.
+    fn apex(&self) -> f32 {
+        let lying = self.centres().iter().zip(self.velocities()).filter(|(_, v)| v[3] >= 2.0);
+        lying.fold(0.0, |top, (x, _)| top.max(x[2]))
+    }
     /// Root-mean-square speed.
     fn speed_rms(&self) -> f32;
     /// Mean and largest overlap of overlapping grains.

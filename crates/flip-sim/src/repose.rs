@@ -167,7 +167,7 @@ const RENEWAL: f64 = 0.15;
 /// Share of the grains poured through the wide opening.
 const QUICK: f64 = 0.6;
 /// Steps between two checks for grains that fell off the base.
-const DEPARTURE_CHECK: u32 = 16;
+pub(super) const DEPARTURE_CHECK: u32 = 16;
 
 /// Pours, waits until the heap rests, and measures. Same inputs, same bytes.
 ///
@@ -188,8 +188,7 @@ pub fn repose(set: &ParameterSet, settings: &Settings, seed: u64) -> Result<Repo
 /// [`repose`] of grains that follow `law`; `settings` must have the base friction and substep the
 /// law was made with.
 pub(super) fn repose_under(law: Law, settings: &Settings, seed: u64) -> Result<Repose, Refusal> {
-    let engine = Physical::under(law, settings);
-    Heap { engine, settings, steps: 0, camera: None }.run(seed).map(|pile| pile.repose)
+    repose_of(Physical::under(law, settings), settings, seed)
 }
 
 /// A heap and the positions of its grains.
@@ -220,6 +219,15 @@ pub fn pile(
             Heap { engine: Physx::new(set, settings), settings, steps: 0, camera }.run(seed)
         }
     }
+}
+
+/// [`repose`] of what an engine computes.
+pub(super) fn repose_of<E: Engine>(
+    engine: E,
+    settings: &Settings,
+    seed: u64,
+) -> Result<Repose, Refusal> {
+    Heap { engine, settings, steps: 0, camera: None }.run(seed).map(|pile| pile.repose)
 }
 
 /// The heap of an engine, and the cone through its flank, after a single reading.
@@ -267,18 +275,20 @@ impl<E: Engine> Heap<'_, E> {
     }
 
     fn advance(&mut self, steps: u32) -> Result<(), Refusal> {
-        let scales = self.engine.scales();
-        for step in 0..steps {
-            self.engine.step();
-            if step % DEPARTURE_CHECK == 0 {
-                self.engine.drop_departed();
-            }
-            if let Some(camera) = self
-                .camera
-                .as_ref()
-                .filter(|camera| camera.is_due(self.steps + step, scales.step_s))
-            {
-                (camera.see)(self.engine.snapshot(f64::from(self.steps + step) * scales.step_s));
+        match &self.camera {
+            None => self.engine.advance(steps),
+            Some(camera) => {
+                let step_s = self.engine.scales().step_s;
+                for step in 0..steps {
+                    self.engine.step();
+                    if step % DEPARTURE_CHECK == 0 {
+                        self.engine.drop_departed();
+                    }
+                    if camera.is_due(self.steps + step, step_s) {
+                        let time_s = f64::from(self.steps + step) * step_s;
+                        (camera.see)(self.engine.snapshot(time_s));
+                    }
+                }
             }
         }
         self.steps += steps;
@@ -321,7 +331,7 @@ impl<E: Engine> Heap<'_, E> {
         let per_layer = (1.15 / speed).ceil() as u32;
         let mut poured = 0;
         while poured < grains {
-            let height = self.apex() + self.settings.funnel_clearance_diameters as f32;
+            let height = self.engine.apex() + self.settings.funnel_clearance_diameters as f32;
             for position in layer(rng, radius, height).into_iter().take(most - poured) {
                 self.engine.pour(position, vector(0.0, 0.0, -speed));
                 poured += 1;
@@ -329,13 +339,6 @@ impl<E: Engine> Heap<'_, E> {
             self.advance(per_layer)?;
         }
         Ok(poured)
-    }
-
-    /// Height of the highest grain that rests on others, or of the base.
-    fn apex(&self) -> f32 {
-        let lying =
-            self.engine.centres().iter().zip(self.engine.velocities()).filter(|(_, v)| v[3] >= 2.0);
-        lying.fold(0.0, |top, (x, _)| top.max(x[2]))
     }
 
     fn settle(&mut self) -> Result<(), Refusal> {

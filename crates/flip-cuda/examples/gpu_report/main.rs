@@ -2,7 +2,7 @@
 //! processor cores.
 //!
 //! ```sh
-//! cargo run --release -p flip-cuda --example gpu_report            # all three
+//! cargo run --release -p flip-cuda --example gpu_report            # all four
 //! cargo run --release -p flip-cuda --example gpu_report -- speed   # one of them
 //! cargo run --release -p flip-cuda --example gpu_report -- speed threads=640
 //! cargo run --release -p flip-cuda --example gpu_report -- quick   # speed of one batch on the card
@@ -12,6 +12,7 @@
 //! Prints what it measures; without a card it prints why there is nothing to measure.
 
 mod equivalence;
+mod heaps;
 mod powders;
 mod repeats;
 mod speed;
@@ -51,6 +52,9 @@ fn main() -> ExitCode {
     }
     if wanted("equivalence") {
         results.push(equivalence::report(&card));
+    }
+    if wanted("heaps") {
+        results.push(heaps::report(&card));
     }
     for result in &results {
         if let Err(error) = result {

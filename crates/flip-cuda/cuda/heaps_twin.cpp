@@ -1,0 +1,3 @@
+// The twin of heaps.
+#define FLIP_HEAPS
+#include "twin.cpp"

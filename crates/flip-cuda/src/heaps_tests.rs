@@ -1,0 +1,177 @@
+//! Heaps by the kernel's source, on a processor and on a card, beside flip-sim.
+
+use crate::heaps::Held;
+use crate::twin::{built, carry_out_by};
+use crate::{Card, layout};
+use flip_core::domain::parameters::ParameterSet;
+use flip_core::domain::seed::derive;
+use flip_sim::batch::heaps::{Heaps, Order, Stand, Wanted, pour};
+use flip_sim::batch::{Engine, Failed};
+use flip_sim::dispense::outside::State;
+use flip_sim::repose::{Repose, Settings, pile, repose};
+use flip_sim::snapshot::{Camera, Snapshot};
+use std::ops::ControlFlow;
+use std::sync::{Arc, Mutex};
+
+const TWIN: &str = "cuda/heaps_twin.cpp";
+
+/// The twin as a solver of heaps.
+struct Twin {
+    held: Held,
+    laws: Vec<Vec<u32>>,
+    words: Vec<Vec<u32>>,
+    /// Substeps that the first heap has made after each order, and its grains then.
+    seen: Vec<(u32, State)>,
+}
+
+impl Twin {
+    /// None where it cannot be compiled.
+    fn of(count: usize) -> Option<Self> {
+        built(TWIN)?;
+        let nothing = layout::image(&State::default()).expect("it has no grains");
+        let laws = vec![vec![0; layout::LAW]; count];
+        Some(Self { held: Held::empty(count), laws, words: vec![nothing; count], seen: Vec::new() })
+    }
+}
+
+impl Heaps for Twin {
+    fn places(&self) -> usize {
+        self.words.len()
+    }
+    fn room(&self) -> u32 {
+        layout::GRAINS as u32
+    }
+    fn carry_out(&mut self, orders: &[(usize, Order)]) -> Result<Vec<Stand>, Failed> {
+        for (place, law) in self.held.begin(orders)? {
+            self.laws[place] = law;
+            self.words[place][..layout::HEAD].fill(0);
+        }
+        let planned = self.held.plan(orders)?;
+        let (words, raw) =
+            carry_out_by(TWIN, &self.laws, &self.words, &planned).expect("it was compiled");
+        self.words = words;
+        let mut stands = self.held.stands(orders, &raw)?;
+        for ((place, order), stand) in orders.iter().zip(&mut stands) {
+            stand.state = order.look.then(|| layout::state(&self.words[*place]));
+        }
+        let done = self.seen.last().map_or(0, |(substeps, _)| *substeps);
+        self.seen.push((done + orders[0].1.substeps, layout::state(&self.words[0])));
+        Ok(stands)
+    }
+}
+
+fn wanted(cohesion: f64, particles: u32, seed: u64) -> Wanted {
+    let set = ParameterSet::default().with("cohesion", cohesion).expect("it is within its bounds");
+    Wanted { set, settings: Settings::with_particles(particles), seed }
+}
+
+fn poured(heaps: &mut dyn Heaps, wanted: &[Wanted]) -> Vec<Repose> {
+    let mut found = vec![None; wanted.len()];
+    pour(heaps, wanted, &mut |place, outcome| {
+        found[place] = Some(outcome.expect("it has an angle"));
+        ControlFlow::Continue(())
+    })
+    .expect("the solver does not fail");
+    found.into_iter().map(|it| it.expect("all were poured")).collect()
+}
+
+/// Every substep of a heap on flip-sim.
+fn filmed(of: &Wanted) -> Vec<Snapshot> {
+    let seen = Arc::new(Mutex::new(Vec::new()));
+    let see = {
+        let seen = seen.clone();
+        Arc::new(move |snapshot| seen.lock().expect("nobody panicked").push(snapshot))
+    };
+    let camera = Camera { every_s: of.settings.substep_s, see };
+    pile(&of.set, &of.settings, of.seed, Some(camera)).expect("it has an angle");
+    std::mem::take(&mut *seen.lock().expect("nobody panicked"))
+}
+
+#[test]
+fn a_heap_of_the_twin_begins_like_that_of_flip_sim() {
+    let one = wanted(0.5, 150, 3);
+    let Some(mut twin) = Twin::of(1) else { return };
+    poured(&mut twin, &[one]);
+    let film = filmed(&one);
+    let diameter_mm = one.set.particle_diameter_mm();
+    let mut apart = Vec::new();
+    for (substeps, state) in &twin.seen {
+        let time_s = f64::from(substeps - 1) * one.settings.substep_s;
+        let there =
+            film.iter().find(|it| (it.time_s - time_s).abs() < 1e-9).expect("every substep");
+        if *substeps > 300 || there.ids.len() != state.grains.len() {
+            break;
+        }
+        let mut largest = 0.0f64;
+        for grain in &state.grains {
+            let k = there.ids.iter().position(|id| *id == grain.id).expect("it was poured there");
+            for axis in 0..3 {
+                let steps = f64::from(there.grains[k][axis]) * f64::from(there.step_mm);
+                let mm = f64::from(there.origin_mm[axis]) + steps;
+                largest = largest.max((mm / diameter_mm - f64::from(grain.x[axis])).abs());
+            }
+        }
+        apart.push((*substeps, largest));
+    }
+    println!("substeps, and diameters apart at most: {apart:?}");
+    // The first layer has fallen for 200 substeps, onto the base and then onto itself: gravity that is
+    // off by a thousandth moves it by 0.004 diameters. A snapshot resolves 5e-5.
+    assert!(apart.len() >= 6, "{apart:?}");
+    assert!(apart.iter().all(|(_, largest)| *largest < 2e-3), "{apart:?}");
+}
+
+/// Mean and its squared standard error.
+fn mean(of: &[f64]) -> (f64, f64) {
+    let n = of.len() as f64;
+    let mean = of.iter().sum::<f64>() / n;
+    let variance = of.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    (mean, variance / n)
+}
+
+#[test]
+fn heaps_of_the_twin_are_about_as_steep_as_those_of_flip_sim_whoever_is_beside_them() {
+    let all: Vec<Wanted> = (0..6).map(|seed| wanted(0.5, 200, seed)).collect();
+    let Some(mut twin) = Twin::of(3) else { return };
+    let mine = poured(&mut twin, &all);
+    let theirs: Vec<Repose> =
+        all.iter().map(|it| repose(&it.set, &it.settings, it.seed).expect("an angle")).collect();
+    let angles = |of: &[Repose]| of.iter().map(|it| it.cone_deg).collect::<Vec<_>>();
+    let (a, b) = (mean(&angles(&mine)), mean(&angles(&theirs)));
+    println!("{a:?} and {b:?}");
+    assert!((a.0 - b.0).powi(2) < 16.0 * (a.1 + b.1), "{a:?} and {b:?}");
+    for (mine, theirs) in mine.iter().zip(&theirs) {
+        assert!(mine.particles_on_base.abs_diff(theirs.particles_on_base) < 40);
+        assert!((mine.simulated_s - theirs.simulated_s).abs() < 0.5, "{mine:?} {theirs:?}");
+        assert!(mine.speed_rms_mm_s < 1.0 && mine.overlap_mean < 2.0 * theirs.overlap_mean);
+    }
+    let Some(mut alone) = Twin::of(1) else { return };
+    assert_eq!(poured(&mut alone, &all[4..5])[0], mine[4]);
+}
+
+#[test]
+fn a_card_pours_heaps_as_steep_as_the_cores_within_half_of_the_scatter_of_one() {
+    let Ok(card) = Card::open(0) else {
+        return println!("skipped: there is no graphics card here");
+    };
+    for cohesion in [0.0, 1.0] {
+        let all: Vec<Wanted> = (0..96).map(|k| wanted(cohesion, 600, derive(7, &[k]))).collect();
+        let mut heaps = card.heaps(48).expect("it has memory").expect("it computes heaps");
+        let mine = poured(heaps.as_mut(), &all);
+        let repeated = poured(heaps.as_mut(), &all[..10]);
+        assert_eq!(repeated, mine[..10]);
+        let theirs: Vec<Repose> = crate::orders::on_all(&all, |_, it| {
+            repose(&it.set, &it.settings, it.seed).expect("it has an angle")
+        });
+        for of in [|it: &Repose| it.tip_deg, |it: &Repose| it.cone_deg] {
+            let [a, b] = [&mine, &theirs].map(|of_all| {
+                let values: Vec<f64> = of_all.iter().map(of).collect();
+                mean(&values)
+            });
+            let (apart, error) = ((a.0 - b.0).abs(), (a.1 + b.1).sqrt());
+            let scatter = (b.1 * 96.0).sqrt();
+            println!("cohesion {cohesion}: {a:?} and {b:?}, scatter of one {scatter}");
+            // Two one-sided tests at 5 %: 190 degrees of freedom.
+            assert!(apart + 1.653 * error < 0.5 * scatter, "{a:?} and {b:?}, scatter {scatter}");
+        }
+    }
+}
