@@ -10,6 +10,7 @@ use cudarc::driver::{
     PushKernelArg,
 };
 use cudarc::nvrtc::Ptx;
+use flip_sim::dispense::outside::State;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -193,6 +194,18 @@ impl Card {
         let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
         let module = self.stream.context().load_module(Ptx::from_src(HEAPS)).map_err(bad)?;
         Ok(Self { kernel: function(&module, self.is_small)?, ..self.clone() })
+    }
+
+    /// The grains at this place of a table of spoons or heaps.
+    pub(crate) fn state(&self, all: &CudaSlice<u32>, place: usize) -> Result<State> {
+        let start = place * layout::SPOON;
+        let mut words = self.stream.clone_dtoh(&all.slice(start..start + layout::MOTION))?;
+        self.stream.synchronize()?;
+        let memory = layout::present_memory(&words);
+        let memory = start + memory.start..start + memory.end;
+        words.extend(self.stream.clone_dtoh(&all.slice(memory))?);
+        self.stream.synchronize()?;
+        Ok(layout::state(&words))
     }
 
     /// Carries out the orders on these spoons, or heaps, and waits for the end.

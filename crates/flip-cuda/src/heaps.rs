@@ -46,22 +46,10 @@ impl Heaps {
         let mut stands = self.held.stands(orders, &raw)?;
         for ((place, order), stand) in orders.iter().zip(&mut stands) {
             if order.look {
-                stand.state = Some(layout::state(&self.read(*place)?));
+                stand.state = Some(self.card.state(&self.words, *place)?);
             }
         }
         Ok(stands)
-    }
-
-    /// What [`layout::state`] reads.
-    fn read(&self, place: usize) -> Result<Vec<u32>> {
-        let (stream, start) = (self.card.stream(), place * layout::SPOON);
-        let mut words = stream.clone_dtoh(&self.words.slice(start..start + layout::MOTION))?;
-        stream.synchronize()?;
-        let memory = layout::present_memory(&words);
-        let memory = start + memory.start..start + memory.end;
-        words.extend(stream.clone_dtoh(&self.words.slice(memory))?);
-        stream.synchronize()?;
-        Ok(words)
     }
 }
 

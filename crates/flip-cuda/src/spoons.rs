@@ -255,14 +255,6 @@ impl Spoons {
     /// [`CardError`]: a spoon that does not exist or is empty, or a card that fails.
     pub fn state(&self, spoon: usize) -> Result<State> {
         self.held.filled(spoon)?;
-        let stream = self.card.stream();
-        let start = spoon * layout::SPOON;
-        let mut words = stream.clone_dtoh(&self.words.slice(start..start + layout::MOTION))?;
-        stream.synchronize()?;
-        let memory = layout::present_memory(&words);
-        let memory = start + memory.start..start + memory.end;
-        words.extend(stream.clone_dtoh(&self.words.slice(memory))?);
-        stream.synchronize()?;
-        Ok(layout::state(&words))
+        self.card.state(&self.words, spoon)
     }
 }
