@@ -2,7 +2,8 @@
 //! each, processes of their own on a private PostgreSQL that waits for its disk: how long each takes
 //! beside the ideal, whether the results are the same bytes, and what the rows of a portion cost.
 //!
-//! `cargo bench --bench workers -- [repeats] [size, %] [workers,workers]`, or `make bench-workers`.
+//! `cargo bench --bench workers -- [repeats] [size, %] [workers,workers] [job,job]`, or `make
+//! bench-workers`.
 
 use anyhow::{Context, ensure};
 use flip::app::{
@@ -35,6 +36,10 @@ async fn main() -> anyhow::Result<()> {
     let (repeats, size) = (number(0, 1)?, f64::from(number(1, 100)?) / 100.0);
     let workers = arguments.get(2).map_or("1,2,4", String::as_str);
     let workers: Vec<usize> = workers.split(',').map(str::parse).collect::<Result<_, _>>()?;
+    let named = arguments.get(3).map_or_else(|| JOBS.join(","), String::clone);
+    let jobs: Vec<&str> =
+        JOBS.into_iter().filter(|job| named.split(',').any(|it| it == *job)).collect();
+    ensure!(!jobs.is_empty(), "jobs: any of {}", JOBS.join(", "));
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let cluster = Cluster::start(true).map_err(anyhow::Error::msg)?;
     println!("{cores} processors, repeats: {repeats}, size: {} %\n", 100.0 * size);
@@ -43,7 +48,7 @@ async fn main() -> anyhow::Result<()> {
     for repeat in 0..repeats {
         for &many in &workers {
             eprintln!("repeat {repeat}, workers: {many}");
-            for run in on_workers(&cluster, many, size).await? {
+            for run in on_workers(&cluster, many, size, &jobs).await? {
                 runs.entry((many, run.job)).or_default().push(run);
             }
         }
@@ -51,7 +56,7 @@ async fn main() -> anyhow::Result<()> {
     println!("| job | workers | wall s, median (range) | ideal s | wall / ideal | equal bytes |");
     println!("|---|---|---|---|---|---|");
     let mut all_equal = true;
-    for job in JOBS {
+    for &job in &jobs {
         let first = &runs[&(workers[0], job)];
         let alone_s = median(first.iter().map(|run| run.wall_s)) * workers[0].min(cores) as f64;
         for &many in &workers {
@@ -121,8 +126,13 @@ fn hire(url: &str, folder: &Path, name: &str) -> anyhow::Result<Worker> {
     Ok(Worker(worker))
 }
 
-/// The three jobs, one after another, on so many workers and a database of their own.
-async fn on_workers(cluster: &Cluster, many: usize, size: f64) -> anyhow::Result<Vec<Run>> {
+/// The jobs, one after another, on so many workers and a database of their own.
+async fn on_workers(
+    cluster: &Cluster,
+    many: usize,
+    size: f64,
+    jobs: &[&str],
+) -> anyhow::Result<Vec<Run>> {
     let place = tempfile::tempdir()?;
     let folder = place.path().join("data");
     let url = cluster.database_of(&folder).await;
@@ -133,8 +143,34 @@ async fn on_workers(cluster: &Cluster, many: usize, size: f64) -> anyhow::Result
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     let mut runs = Vec::new();
+    for job in JOBS.into_iter().filter(|job| jobs.contains(job)) {
+        let begun = Instant::now();
+        let id = match job {
+            "calibration" => app.start_calibration(calibration()).await?.0.id,
+            "evaluation" => app.start_evaluation(evaluation(size)).await?.0.id,
+            _ => app.start_investigation(investigation(size)).await?.0.id,
+        };
+        let wall_s = ends(&app, &id, begun).await?;
+        let result = match job {
+            "calibration" => serde_json::to_string(&app.calibration(&id).await?.result)?,
+            "evaluation" => serde_json::to_string(&app.evaluation(&id).await?.result)?,
+            _ => {
+                let mut report =
+                    app.investigation(&id).await?.report.context("it has succeeded")?;
+                report.wall_s = 0.0;
+                serde_json::to_string(&report)?
+            }
+        };
+        ensure!(result != "null", "{job}: no result");
+        runs.push(Run::new(job, wall_s, result));
+    }
+    drop(hired);
+    app.shutdown().await?;
+    Ok(runs)
+}
 
-    let calibration = CalibrationRequest {
+fn calibration() -> CalibrationRequest {
+    CalibrationRequest {
         powder: Some("sand".into()),
         method: Some(CalibrationMethod::Emulator),
         sets: Some(3),
@@ -142,43 +178,28 @@ async fn on_workers(cluster: &Cluster, many: usize, size: f64) -> anyhow::Result
         // Of smaller heaps none comes within the tolerance.
         particles: Some(400),
         ..Default::default()
-    };
-    let begun = Instant::now();
-    let (job, _) = app.start_calibration(calibration).await?;
-    let wall_s = ends(&app, &job.id, begun).await?;
-    let result = app.calibration(&job.id).await?.result.context("it has succeeded")?;
-    runs.push(Run::new(JOBS[0], wall_s, serde_json::to_string(&result)?));
+    }
+}
 
-    let evaluation = EvaluationRequest {
+/// An evaluation needs the sets of the calibration.
+fn evaluation(size: f64) -> EvaluationRequest {
+    EvaluationRequest {
         powders: Some(vec!["sand".into()]),
         controllers: Some(["untrained", "fixed", "dispenser", "paced"].map(String::from).to_vec()),
         targets_mg: Some(vec![5.0, 10.0]),
         repeats: Some(scaled(6.0, size, 1)),
         particles: Some(1000),
         ..Default::default()
-    };
-    let begun = Instant::now();
-    let (job, _) = app.start_evaluation(evaluation).await?;
-    let wall_s = ends(&app, &job.id, begun).await?;
-    let result = app.evaluation(&job.id).await?.result.context("it has succeeded")?;
-    runs.push(Run::new(JOBS[1], wall_s, serde_json::to_string(&result)?));
+    }
+}
 
-    let investigation = InvestigationRequest {
+fn investigation(size: f64) -> InvestigationRequest {
+    InvestigationRequest {
         shakes_csv: Some(shakes()),
         budget_replays: Some(scaled(200.0, size, 156)),
         seed: Some(3),
         ..Default::default()
-    };
-    let begun = Instant::now();
-    let (job, _) = app.start_investigation(investigation).await?;
-    let wall_s = ends(&app, &job.id, begun).await?;
-    let mut report = app.investigation(&job.id).await?.report.context("it has succeeded")?;
-    report.wall_s = 0.0;
-    runs.push(Run::new(JOBS[2], wall_s, serde_json::to_string(&report)?));
-
-    drop(hired);
-    app.shutdown().await?;
-    Ok(runs)
+    }
 }
 
 fn scaled(usual: f64, size: f64, least: u32) -> u32 {
