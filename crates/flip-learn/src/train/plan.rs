@@ -1,6 +1,8 @@
 //! What is drawn for an episode before it is played: powder, conditions, target, heap.
 
-use super::environment::{Filling, Simulated};
+use super::environment::Filling;
+#[cfg(feature = "libtorch")]
+use super::environment::Simulated;
 use super::record::Level;
 use super::settings::{Extended, Order, Settings};
 use super::spoons::Spoons;

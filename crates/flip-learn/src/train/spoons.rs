@@ -1,9 +1,12 @@
 //! Cache of filled spoons: filling takes as long as several steps.
 
-use super::environment::{Filling, Simulated};
+use super::environment::Filling;
+#[cfg(feature = "libtorch")]
+use super::environment::Simulated;
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
+#[cfg(feature = "libtorch")]
 use flip_sim::dispense::Dispenser;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -42,6 +45,7 @@ impl<F: Filling> Spoons<F> {
     }
 }
 
+#[cfg(feature = "libtorch")]
 impl Spoons<Simulated> {
     /// Like [`Self::fill`], before the powder has fallen.
     pub fn loose(&self, set: &ParameterSet, heap: u32, patch: &Patch) -> Dispenser {

@@ -35,7 +35,7 @@ pub struct Ground {
     pub wall: Strengths,
     /// Radius of the round base, which is at height 0 and has a sharp rim.
     pub radius: f32,
-    /// Substeps between two looks for grains that fell off, the first of them after the first substep.
+    /// Substeps between two looks for grains that fell off.
     pub slice: u32,
 }
 
