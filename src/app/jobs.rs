@@ -8,7 +8,7 @@ use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState};
 use flip_core::domain::labels::Labels;
 use flip_store as store;
-use flip_store::jobs::{Job, JobRow, JobsWanted};
+use flip_store::jobs::{Job, JobRow, JobsWanted, Waiting};
 use flip_store::page::{LIST_LIMIT_MAX, Page, PageQuery};
 use serde::de::DeserializeOwned;
 
@@ -90,15 +90,19 @@ impl App {
         if jobs.is_empty() {
             return Ok(());
         }
-        let queue = self.store().waiting_jobs().await?;
+        let around = [&jobs[0].id, &jobs[jobs.len() - 1].id].map(String::as_str);
+        let Waiting { before, jobs: queue } = self.store().waiting_jobs(around).await?;
         let times = self.job_times().await?;
         for job in jobs {
-            let lane = queue.iter().filter(|(_, it)| lane_of(it.kind) == lane_of(job.kind));
-            let ahead = lane.take_while(|(id, _)| *id != job.id).count();
-            job.place = Some(ahead as u32 + 1);
-            let sort = queue.iter().find(|(id, _)| *id == job.id).map(|(_, sort)| sort);
-            job.expected_s =
-                sort.and_then(|sort| Some(times.iter().find(|it| it.sort == *sort)?.median_s));
+            // It may have begun meanwhile.
+            let Some(at) = queue.iter().position(|(id, _)| *id == job.id) else { continue };
+            let lane = lane_of(job.kind);
+            let near = queue[..at].iter().filter(|(_, it)| lane_of(it.kind) == lane).count() as u64;
+            let far = before.iter().filter(|(kind, _)| lane_of(*kind) == lane);
+            let ahead = near + far.map(|(_, many)| many).sum::<u64>();
+            job.place = u32::try_from(ahead + 1).ok();
+            let sort = &queue[at].1;
+            job.expected_s = times.iter().find(|it| it.sort == *sort).map(|it| it.median_s);
         }
         Ok(())
     }

@@ -2,7 +2,7 @@
 //! crate do not ask for all of them.
 
 use crate::audit_search::AuditWanted;
-use crate::jobs::JobsWanted;
+use crate::jobs::{JobsWanted, Waiting};
 use crate::labels::{ArchivedItems, Label, LabelKind, Shown};
 use crate::node_actions::Fate;
 use crate::page::{Page, Window};
@@ -197,8 +197,13 @@ async fn jobs_are_found_by_what_their_specifications_say() {
     let films = async |of| store.films(of, None, None, window(10)).await.unwrap().items.len();
     assert_eq!((films(None).await, films(Some("w-1")).await, films(Some("w-2")).await), (1, 1, 0));
     assert_eq!(store.whole_jobs(JobKind::Film, window(10)).await.unwrap().items.len(), 1);
-    let waiting = store.waiting_jobs().await.unwrap();
-    assert_eq!(waiting[0].1.method.as_deref(), Some("search"));
+    let waiting = store.waiting_jobs(["j-2", "j-1"]).await.unwrap();
+    assert_eq!(waiting.jobs[0].1.method.as_deref(), Some("search"));
+    let ids = |of: &Waiting| of.jobs.iter().map(|(id, _)| id.clone()).collect::<Vec<_>>();
+    assert_eq!((waiting.before.len(), ids(&waiting)), (0, vec!["j-1".into(), "j-2".into()]));
+    let last = store.waiting_jobs(["j-3", "j-3"]).await.unwrap();
+    assert_eq!(ids(&last), ["j-3"]);
+    assert_eq!(last.before.iter().map(|(_, many)| many).sum::<u64>(), 2);
     assert_eq!(store.repose_runs("salt").await.unwrap(), 12);
     assert_eq!(store.repose_runs("sand").await.unwrap(), 0);
     let under_way = store.calibration_under_way("salt", None).await.unwrap();

@@ -86,6 +86,22 @@ pub struct Sort {
     pub method: Option<String>,
 }
 
+/// Jobs that no worker computes.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Waiting {
+    /// How many of each kind wait before the others.
+    pub before: Vec<(JobKind, u64)>,
+    /// Ids and sorts, the one that has waited longest first.
+    pub jobs: Vec<(String, Sort)>,
+}
+
+/// That no worker computes a job at a time.
+macro_rules! waits {
+    ($now:literal) => {
+        concat!("state IN ('queued', 'running') AND (state = 'queued' OR lease_until < ", $now, ")")
+    };
+}
+
 /// Jobs that are looked back at for how long they took.
 const TIMES_MAX: i64 = 500;
 
@@ -174,15 +190,36 @@ impl Store {
         row.as_ref().map(job_row).transpose()
     }
 
-    /// The jobs that no worker computes, the one that has waited longest first.
-    pub async fn waiting_jobs(&self) -> Result<Vec<(String, Sort)>> {
-        let sql = "SELECT id, kind, CASE kind WHEN 'calibration' THEN spec ->> '$.calibration.settings.method' END AS method \
-                   FROM job WHERE state IN ('queued', 'running') \
-                   AND (state = 'queued' OR lease_until < $1) ORDER BY seq";
-        let rows = sqlx::query(sql).bind(now().unix_ms()).fetch_all(&self.reader).await?;
+    /// The jobs that no worker computes, around these two: a queue of thousands is counted, not read.
+    pub async fn waiting_jobs(&self, around: [&str; 2]) -> Result<Waiting> {
+        let counts = concat!(
+            "SELECT kind, count(*) AS many FROM job WHERE ",
+            waits!("$1"),
+            " AND seq < (SELECT min(seq) FROM job WHERE id IN ($2, $3)) GROUP BY kind"
+        );
+        let rows = concat!(
+            "SELECT id, kind, CASE kind WHEN 'calibration' THEN spec ->> '$.calibration.settings.method' END AS method FROM job WHERE ",
+            waits!("$1"),
+            " AND seq BETWEEN (SELECT min(seq) FROM job WHERE id IN ($2, $3)) AND (SELECT max(seq) FROM job WHERE id IN ($2, $3)) ORDER BY seq"
+        );
+        let asked = async |sql: &'static str| {
+            let query = sqlx::query(sql).bind(now().unix_ms()).bind(around[0]).bind(around[1]);
+            query.fetch_all(&self.reader).await
+        };
         // A kind that is not known here waits for a program that knows it.
+        let count = |row: &AnyRow| {
+            let kind = row.word("job", "kind").ok()?;
+            Some(row.plain("many").map(|many: i64| (kind, many.cast_unsigned())))
+        };
         let known = |row: &AnyRow| Some((row.plain("id"), sort(row).ok()?));
-        rows.iter().filter_map(known).map(|(id, sort)| Ok((id?, sort))).collect()
+        let before = asked(counts).await?.iter().filter_map(count).collect::<Result<_>>()?;
+        let rows = asked(rows).await?;
+        let jobs = rows
+            .iter()
+            .filter_map(known)
+            .map(|(id, sort)| Ok((id?, sort)))
+            .collect::<Result<_>>()?;
+        Ok(Waiting { before, jobs })
     }
 
     /// What the last jobs that succeeded at the first attempt were, and how long each took, s.
