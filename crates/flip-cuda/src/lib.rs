@@ -35,7 +35,7 @@
 //! Mechanisms beyond the base simulator are not on the card. A spoon or heap has at most 2560
 //! grains.
 
-/// Version of what a card computes of spoons. It is raised whenever the same inputs give other bytes.
+/// Version of what a card computes of spoons and heaps. It is raised whenever the same inputs give other bytes.
 pub const VERSION: u32 = 3;
 
 mod bed;
