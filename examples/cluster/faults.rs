@@ -318,7 +318,11 @@ impl Site {
                 ensure!(status.is_success(), "{path}: {status} {said}");
                 return Ok(serde_json::from_str(&said)?);
             }
-            ensure!(began.elapsed() < TRY, "{path}: no server answers");
+            ensure!(
+                began.elapsed() < TRY,
+                "{path}: no server answers\n{}",
+                self.lines[0].flip.last_said(&SERVERS)
+            );
             sleep(LOOK).await;
         }
     }

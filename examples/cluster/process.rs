@@ -3,6 +3,7 @@
 use super::clocks::Clocks;
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, OnceLock};
@@ -11,6 +12,8 @@ use std::time::{Duration, Instant};
 /// How long something that must happen may take, and how often it is looked for.
 const PATIENCE: Duration = Duration::from_secs(60);
 pub(super) const LOOK: Duration = Duration::from_millis(500);
+/// Lines that are told of what a process said.
+const LINES: usize = 20;
 
 /// The program with this database.
 #[derive(Clone)]
@@ -40,13 +43,31 @@ impl Flip {
         if let Some(clocks) = &self.clocks {
             clocks.give(machine, &mut command)?;
         }
-        let mut process = Self::started(command)?;
+        let said = self.said();
+        fs::create_dir_all(&said)?;
+        let said = File::options().create(true).append(true).open(said.join(machine))?;
+        let mut process = Self::started(command.stderr(said))?;
         machine.clone_into(&mut process.machine);
         Ok(process)
     }
 
-    fn started(mut command: Command) -> Result<Process> {
-        let child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
+    /// Where the processes on machines say what they do, each in a file of its name.
+    fn said(&self) -> PathBuf {
+        self.files.with_file_name("said")
+    }
+
+    /// The last of what each of these machines said.
+    pub fn last_said(&self, machines: &[&str]) -> String {
+        let last = |machine: &&str| {
+            let text = fs::read_to_string(self.said().join(machine)).unwrap_or_default();
+            let lines: Vec<&str> = text.lines().collect();
+            format!("{machine}:\n{}\n", lines[lines.len().saturating_sub(LINES)..].join("\n"))
+        };
+        machines.iter().map(last).collect()
+    }
+
+    fn started(command: &mut Command) -> Result<Process> {
+        let child = command.stdout(Stdio::piped()).spawn();
         let child = child.with_context(|| format!("{command:?}"))?;
         Ok(Process { child, machine: String::new() })
     }
@@ -54,7 +75,7 @@ impl Flip {
     pub fn demonstrate(&self, arguments: &[String]) -> Result<Process> {
         let mut command = self.command(&["demo", "--exit", "--bench", "emulated"]);
         command.args(["--listen", "127.0.0.1:0"]).args(arguments);
-        Self::started(command)
+        Self::started(command.stderr(Stdio::null()))
     }
 
     pub fn server(&self, bench: &str) -> Result<Process> {
@@ -87,7 +108,7 @@ impl Flip {
     pub fn alone_server(&self, folder: &Path) -> Result<Process> {
         let mut command = Command::new(&self.program);
         command.args(["serve", "--json", "--listen", "127.0.0.1:0", "--data-dir"]).arg(folder);
-        Self::started(command)
+        Self::started(command.stderr(Stdio::null()))
     }
 
     /// The demonstration in one process with a data folder.
@@ -95,7 +116,7 @@ impl Flip {
         let mut command = Command::new(&self.program);
         command.args(["demo", "--exit", "--bench", "emulated", "--listen", "127.0.0.1:0"]);
         command.args(["--json", "--data-dir"]).arg(folder.join("alone")).args(arguments);
-        let mut process = Self::started(command)?;
+        let mut process = Self::started(command.stderr(Stdio::null()))?;
         let document = process.said()?;
         ensure!(process.child.wait()?.success(), "the demonstration alone failed");
         Ok(document)

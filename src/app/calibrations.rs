@@ -6,10 +6,11 @@ use super::steepness::Steepness;
 use super::trainings::without_sets;
 use super::{App, Error, Result};
 use crate::jobs::calibrate::{CalibrationResult, Design, Method, Posterior, Settings};
-use crate::jobs::{CalibrationSpec, JobSpec, SIMULATOR};
+use crate::jobs::{CalibrationSpec, JobSpec, can_pour, simulator_on};
 use flip_core::card::cells::cells;
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::{Conditions, Patch, Under};
+use flip_core::domain::device::Device;
 use flip_core::domain::job::JobKind;
 use flip_core::domain::labels::Labels;
 use flip_core::domain::observable::Observation;
@@ -75,6 +76,11 @@ pub struct CalibrationRequest {
     /// there, for a powder of its campaign.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: Conditions,
+    /// What simulates the heaps: the processor, or a graphics card of this process or of a worker,
+    /// which has room for 2560 grains. A card's heaps have the statistics of the processor's and other
+    /// bytes. Other measurements are simulated on the processor alone.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
     /// What the caller writes on it, to find it again.
     #[serde(default, skip_serializing_if = "Labels::is_empty")]
     pub labels: Labels,
@@ -97,6 +103,9 @@ pub struct Calibration {
     pub under: Option<Under>,
     /// Other measurements.
     pub observations: Vec<Observation>,
+    /// What it simulates on; absent for the processor.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
     /// Every setting of the search and of the heap experiment.
     pub settings: serde_json::Value,
     /// Result; absent until it has succeeded.
@@ -139,6 +148,8 @@ impl App {
         };
         let trials_max = request.trials_max.unwrap_or_else(|| settings.budget());
         let settings = Settings { trials_max, ..settings }.checked()?;
+        can_pour(request.device, &settings)?;
+        self.check_device(JobKind::Calibration, request.device).await?;
         let design = (settings.method == Method::Emulator)
             .then(|| Design::with_particles(settings.particles));
         let observations = match &request.shakes {
@@ -147,12 +158,16 @@ impl App {
                 self.cells_of(&request, shakes, powder.as_deref(), settings.method).await?
             }
         };
+        if !request.device.is_cpu() && !observations.is_empty() {
+            let advice = "`cuda` cannot compute other measurements: leave the field out to compute on the CPU, or calibrate to the angle alone with `observations` empty";
+            return Err(FieldError::new("device", advice).into());
+        }
         // A version of spoons holds under all conditions, so a spoon is observed with it.
         let of_spoon = extended.as_ref().filter(|(_, extended)| extended.through().is_empty());
         let patch = of_spoon.map(|(_, it)| it.at(powder.as_deref(), &Conditions::new()));
         let patch = patch.transpose().map_err(Error::Invalid)?.unwrap_or_default();
         let patch = if observations.is_empty() { Patch::default() } else { patch };
-        let (under, simulator) = (extended.map(|it| it.0), SIMULATOR.to_owned());
+        let (under, device) = (extended.map(|it| it.0), request.device);
         let spec = CalibrationSpec {
             powder,
             target,
@@ -161,7 +176,8 @@ impl App {
             settings,
             design,
             under,
-            simulator,
+            device,
+            simulator: simulator_on(device),
         };
         self.queue(JobSpec::Calibration(spec), request.labels).await
     }
@@ -347,6 +363,7 @@ fn calibration(row: JobRow) -> Result<Calibration> {
         target: spec.target,
         under: spec.under,
         observations: spec.observations,
+        device: spec.device,
         settings: serde_json::to_value(spec.settings)
             .map_err(|error| Error::Internal(error.into()))?,
         result,

@@ -1,5 +1,6 @@
 //! `flip calibrate`: parameter sets whose simulated heaps have the measured angle of repose.
 
+use super::device::DeviceArguments;
 use super::failure::Failure;
 use super::lab::Lab;
 use super::labels::LabelArguments;
@@ -68,6 +69,8 @@ pub(super) struct Arguments {
     /// repeated [default: all nine are searched].
     #[arg(long, value_name = "NAME=VALUE")]
     fix: Vec<String>,
+    #[command(flatten)]
+    device: DeviceArguments,
     #[command(flatten)]
     labels: LabelArguments,
     #[command(flatten)]
@@ -246,6 +249,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
                 fixed: fixed.clone(),
                 simulator,
                 conditions,
+                device: arguments.device.device(),
                 labels: labels.clone(),
                 ..request
             };

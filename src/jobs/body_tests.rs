@@ -74,6 +74,7 @@ fn alone() -> CalibrationSpec {
         settings: Settings { sets: 4, seed: 3, ..Settings::default() },
         design: None,
         under: None,
+        device: Device::Cpu,
         simulator: SIMULATOR.into(),
     }
 }

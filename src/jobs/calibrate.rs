@@ -3,6 +3,7 @@
 //! needs the emulator builds it.
 
 use super::Functions;
+use super::card::{HeapsByCard, engine_of};
 use super::host::{Finished, JobError, JobHost, Piece, Result, go_on};
 use super::observe::{self, Observed};
 use super::runner::{HeapExperiment, HeapRunner, Run, in_order};
@@ -15,6 +16,7 @@ use flip_sim as sim;
 use flip_sim::repose::{Refusal, Repose, Settings as HeapSettings};
 use serde::{Deserialize, Serialize};
 use std::cell::Cell;
+use std::sync::Arc;
 
 pub use flip_learn::calibrate::posterior::{Marginal, Pair, Posterior};
 pub use flip_learn::calibrate::{Design, Method, Settings, Shortfall};
@@ -103,7 +105,24 @@ pub(super) fn perform(
     functions: &Functions,
     spec: &CalibrationSpec,
 ) -> Result<()> {
-    let simulator = Simulator { heaps: &functions.simulate, seconds: Cell::default() };
+    let card = engine_of(&*functions.card, spec.device)?.map(HeapsByCard::of).map(Arc::new);
+    let heaps = card.clone().map_or_else(|| functions.simulate.clone(), |card| card as HeapRunner);
+    let done = with_heaps(host, functions, spec, &heaps);
+    match card.and_then(|card| card.failed()) {
+        Some(cause) if done.is_err() => Err(JobError::Device(format!(
+            "{cause}. Start it again, or with `device: cpu`, which simulates every heap anew"
+        ))),
+        _ => done,
+    }
+}
+
+fn with_heaps(
+    host: &dyn JobHost,
+    functions: &Functions,
+    spec: &CalibrationSpec,
+    heaps: &HeapRunner,
+) -> Result<()> {
+    let simulator = Simulator { heaps, seconds: Cell::default() };
     let history = host.trials()?;
     let shared = spec.design.as_ref();
     let shared =

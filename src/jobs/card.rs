@@ -6,21 +6,24 @@
 use super::Functions;
 use super::evaluate::dose_of;
 use super::host::{self, JobError};
-use super::runner::{DoseExperiment, Each, Run, Runner};
+use super::runner::{DoseExperiment, Each, HeapExperiment, Run, Runner};
 use flip_bench::rig::simulate_from;
 use flip_bench::weigh::Event;
 use flip_core::domain::FieldError;
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::device::Device;
 use flip_cuda::{Card, GRAINS_MAX};
+use flip_learn::calibrate;
 use flip_learn::train::evaluate::Dose;
+use flip_sim::batch::heaps::{Wanted, pour};
 use flip_sim::batch::{Engine, Failed, Place, Several, side_by_side};
 use flip_sim::dispense;
 use flip_sim::mechanisms::Extensions;
+use flip_sim::repose::{Refusal, Repose};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Instant;
 
 /// The graphics cards of this process.
@@ -86,20 +89,32 @@ pub fn can_compute<'a>(
             .filter(|(_, amplitude)| **amplitude != 0.0)
             .map(|(name, _)| name.clone()),
     );
-    let refuse = |why: String| {
-        let advice =
-            format!("`cuda` cannot compute {why}: leave the field out to compute on the CPU");
-        Err(FieldError::new("device", advice))
-    };
     if !mechanisms.is_empty() {
         let names: Vec<String> = mechanisms.into_iter().map(|name| format!("`{name}`")).collect();
-        return refuse(format!("the mechanisms {}", names.join(", ")));
+        return Err(cannot(&format!("the mechanisms {}", names.join(", "))));
     }
-    let grains = spoon.particles as usize;
-    match grains <= GRAINS_MAX {
+    has_room(spoon.particles, "on a spoon")
+}
+
+/// Whether a device can pour the heaps of a calibration.
+///
+/// # Errors
+/// `device`: a heap has more grains than a card has room for.
+pub fn can_pour(device: Device, settings: &calibrate::Settings) -> Result<(), FieldError> {
+    let particles = settings.particles.max(settings.verify_particles.unwrap_or_default());
+    if device.is_cpu() { Ok(()) } else { has_room(particles, "in a heap") }
+}
+
+fn has_room(particles: u32, place: &str) -> Result<(), FieldError> {
+    match particles as usize <= GRAINS_MAX {
         true => Ok(()),
-        false => refuse(format!("{grains} grains on a spoon, at most {GRAINS_MAX}")),
+        false => Err(cannot(&format!("{particles} grains {place}, at most {GRAINS_MAX}"))),
     }
+}
+
+fn cannot(what: &str) -> FieldError {
+    let advice = format!("`cuda` cannot compute {what}: leave the field out to compute on the CPU");
+    FieldError::new("device", advice)
 }
 
 fn named(mut extensions: Extensions) -> BTreeSet<String> {
@@ -149,6 +164,50 @@ impl Runner<DoseExperiment, Result<Dose, String>> for SideBySide {
             && !heard.load(Ordering::SeqCst)
         {
             let _ = each(0, Run { outcome: Err(why), seconds: 0.0 });
+        }
+    }
+}
+
+/// Pours heaps side by side on an engine.
+pub struct HeapsByCard {
+    card: Arc<dyn Engine>,
+    failed: Mutex<Option<String>>,
+}
+
+impl HeapsByCard {
+    /// With all the places of an engine.
+    pub fn of(card: Arc<dyn Engine>) -> Self {
+        Self { card, failed: Mutex::default() }
+    }
+
+    /// Why it ended early, if the engine failed.
+    pub fn failed(&self) -> Option<String> {
+        self.failed.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Runner<HeapExperiment, Result<Repose, Refusal>> for HeapsByCard {
+    fn run(&self, experiments: &[HeapExperiment], each: &mut Each<'_, Result<Repose, Refusal>>) {
+        let wanted = |of: &HeapExperiment| {
+            let &HeapExperiment { set, settings, seed } = of;
+            Wanted { set, settings, seed }
+        };
+        let wanted: Vec<Wanted> = experiments.iter().map(wanted).collect();
+        let places = self.card.places().min(wanted.len());
+        let begun = Instant::now();
+        let mut ended = 0;
+        // They end together: each has its share of the time.
+        let mut each = |n: usize, outcome| {
+            ended += 1;
+            let seconds = begun.elapsed().as_secs_f64() / f64::from(ended);
+            each(n, Run { outcome, seconds })
+        };
+        let ran = self.card.heaps(places).and_then(|heaps| {
+            let mut heaps = heaps.ok_or_else(|| Failed("it pours no heaps".to_owned()))?;
+            pour(&mut *heaps, &wanted, &mut each)
+        });
+        if let Err(Failed(why)) = ran {
+            *self.failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(why);
         }
     }
 }

@@ -5,8 +5,10 @@ use flip_bench::weigh::{Accuracy, Order};
 use flip_core::domain::parameters::ParameterSet;
 use flip_policy::{Controller, Paced, Rules, ScheduledStep};
 use flip_sim::balance;
+use flip_sim::batch::heaps::{self, Heaps};
 use flip_sim::batch::{Batch, Cores, Motion, Stand};
 use flip_sim::dispense::Dispenser;
+use flip_sim::repose::{self, repose};
 
 /// Small spoons of 4 mg, poured by two controllers from three beds each.
 fn experiments() -> Vec<DoseExperiment> {
@@ -122,6 +124,68 @@ fn a_card_that_breaks_says_so_whenever_it_does_and_ends_the_doses() {
     }
 }
 
+/// Places for heaps that break at a step.
+struct BreakingHeaps(Box<dyn Heaps>, usize);
+
+impl Heaps for BreakingHeaps {
+    fn places(&self) -> usize {
+        self.0.places()
+    }
+    fn room(&self) -> u32 {
+        self.0.room()
+    }
+    fn carry_out(&mut self, orders: &[(usize, heaps::Order)]) -> Result<Vec<heaps::Stand>, Failed> {
+        self.1 = self.1.checked_sub(1).ok_or_else(|| Failed("it was taken away".to_owned()))?;
+        self.0.carry_out(orders)
+    }
+}
+
+#[test]
+fn heaps_by_an_engine_are_those_of_the_runner_on_cores_and_a_failure_is_remembered() {
+    let settings = repose::Settings::with_particles(120);
+    let heap = |seed| HeapExperiment { set: ParameterSet::default(), settings, seed };
+    let experiments: Vec<HeapExperiment> = (0..3).map(heap).collect();
+    let angles = |runs: Vec<Run<Result<Repose, Refusal>>>| {
+        assert!(runs.iter().all(|run| run.seconds > 0.0));
+        runs.into_iter().map(|run| run.outcome.unwrap().cone_deg).collect::<Vec<f64>>()
+    };
+    let cores = HeapsByCard::of(Arc::new(Cores));
+    let theirs = experiments.iter().map(|of| repose(&of.set, &of.settings, of.seed).unwrap());
+    let theirs: Vec<f64> = theirs.map(|heap| heap.cone_deg).collect();
+    assert_eq!(angles(cores.run_all(&experiments)), theirs);
+    assert_eq!(cores.failed(), None);
+    for (steps, said) in [(None, "no heaps"), (Some(0), "taken away"), (Some(5), "taken away")] {
+        let card = HeapsByCard::of(Arc::new(Fails(steps)));
+        let mut given = 0;
+        card.run(&experiments, &mut |_, run| {
+            run.outcome.unwrap();
+            given += 1;
+            ControlFlow::Continue(())
+        });
+        assert!(given < experiments.len(), "{given} heaps before step {steps:?}");
+        assert!(card.failed().unwrap().contains(said), "{steps:?}");
+    }
+}
+
+/// Cores with heaps that break at a step, or without heaps.
+struct Fails(Option<usize>);
+
+impl Engine for Fails {
+    fn name(&self) -> String {
+        "it fails".to_owned()
+    }
+    fn places(&self) -> usize {
+        2
+    }
+    fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
+        Cores.batch(places)
+    }
+    fn heaps(&self, places: usize) -> Result<Option<Box<dyn Heaps>>, Failed> {
+        let heaps = Cores.heaps(places)?.expect("cores pour heaps");
+        Ok(self.0.map(|steps| Box::new(BreakingHeaps(heaps, steps)) as Box<dyn Heaps>))
+    }
+}
+
 #[test]
 fn what_a_card_lacks_is_refused_by_its_name_and_what_it_has_is_not() {
     let usual = dispense::Settings::default();
@@ -146,11 +210,18 @@ fn what_a_card_lacks_is_refused_by_its_name_and_what_it_has_is_not() {
     assert_eq!(on(Device::Cpu, &wet, &[patch(&[("humidity", 0.4)])]), Ok(()));
     let many = dispense::Settings { particles: 4000, ..usual };
     let refused = check(&many, &[]).unwrap_err();
-    assert!(
-        refused.message.contains("4000 grains") && refused.message.contains("2560"),
-        "{}",
-        refused.message
-    );
+    let says = |refused: FieldError| {
+        let said = ["4000 grains", "2560"].iter().all(|it| refused.message.contains(it));
+        assert!(refused.field == "device" && said, "{}", refused.message);
+    };
+    says(refused);
+    let usual = calibrate::Settings::default();
+    let verified = |count| calibrate::Settings { verify_particles: Some(count), ..usual.clone() };
+    let larger = calibrate::Settings { particles: 4000, ..usual.clone() };
+    assert_eq!(can_pour(Device::Cuda, &verified(2560)), Ok(()));
+    assert_eq!(can_pour(Device::Cpu, &larger), Ok(()));
+    says(can_pour(Device::Cuda, &larger).unwrap_err());
+    says(can_pour(Device::Cuda, &verified(4000)).unwrap_err());
 }
 
 #[test]

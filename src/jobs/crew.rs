@@ -1,6 +1,6 @@
 //! A process among those that compute jobs.
 
-use super::lanes::{KINDS, Lanes};
+use super::lanes::Lanes;
 use super::stop::Stop;
 use super::{Functions, Shared, card, worker};
 use flip_core::domain::job::JobKind;
@@ -37,7 +37,7 @@ impl Default for Crew {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             name: machine_name(),
-            kinds: KINDS.into_iter().filter(|kind| can_compute(*kind)).collect(),
+            kinds: JobKind::ALL.into_iter().filter(|kind| can_compute(*kind)).collect(),
             threads: cores as u32,
             serves: false,
             portion: Duration::from_secs(60),

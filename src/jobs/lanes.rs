@@ -9,16 +9,6 @@ use flip_core::domain::job::JobKind;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// Every kind of job.
-pub const KINDS: [JobKind; 6] = [
-    JobKind::Calibration,
-    JobKind::Training,
-    JobKind::Evaluation,
-    JobKind::Investigation,
-    JobKind::Repose,
-    JobKind::Film,
-];
-
 /// The kinds of jobs that fill a machine, one at a time, and with which others may help.
 pub(super) const TURNS: [JobKind; 3] =
     [JobKind::Calibration, JobKind::Evaluation, JobKind::Investigation];
@@ -115,7 +105,7 @@ mod tests {
 
     #[tokio::test]
     async fn trainings_compute_beside_everything_and_the_rest_takes_turns() {
-        let lanes = Lanes::new(KINDS.to_vec(), 3);
+        let lanes = Lanes::new(JobKind::ALL.to_vec(), 3);
         let calibration = lanes.take(JobKind::Calibration).unwrap();
         assert!(lanes.take(JobKind::Evaluation).is_none());
         assert!(lanes.take(JobKind::Investigation).is_none());

@@ -48,10 +48,10 @@ mod stop;
 pub mod train;
 mod worker;
 
-pub use card::{AllCards, Cards, SideBySide, can_compute};
+pub use card::{AllCards, Cards, HeapsByCard, SideBySide, can_compute, can_pour};
 pub use conditions::Conditions;
 pub use crew::{Crew, JobWorker};
-pub use lanes::{KINDS, lane_of};
+pub use lanes::lane_of;
 pub use priority::{compute_on, give_way_to_the_bench};
 pub use runner::{
     Cores, DoseExperiment, DoseRunner, HeapExperiment, HeapRunner, ObservableExperiment,

@@ -17,6 +17,7 @@
 //! | 6 | `device` of an evaluation and of a training | the processor |
 //! | 6 | `goes_on_from` of a training | it begins at its beginning |
 //! | 7 | `gradients` of a training's settings | libtorch |
+//! | 8 | `device` of a calibration | the processor |
 
 mod films;
 
@@ -58,7 +59,7 @@ pub fn simulator_on(device: Device) -> String {
 }
 
 /// Latest version of the specifications written here; a text without a number is of version 1.
-const VERSION: u32 = 7;
+const VERSION: u32 = 8;
 
 /// Why a stored specification cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -137,7 +138,10 @@ pub struct CalibrationSpec {
     /// The extended version whose reference conditions the target refers to; none for the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub under: Option<Under>,
-    /// Version of the simulator: [`SIMULATOR`].
+    /// What simulates; omitted for the processor, as in older specifications.
+    #[serde(default, skip_serializing_if = "Device::is_cpu")]
+    pub device: Device,
+    /// Version of the simulator: [`simulator_on`] the device.
     pub simulator: String,
 }
 
@@ -317,6 +321,7 @@ impl JobSpec {
             Self::Calibration(spec) => Subject {
                 powders: spec.powder.iter().cloned().collect(),
                 repose_deg: Some(spec.target.repose_deg),
+                device: spec.device,
                 ..Subject::default()
             },
             Self::Training(spec) => Subject {
@@ -344,6 +349,7 @@ impl JobSpec {
     /// What it computes on.
     pub fn device(&self) -> Device {
         match self {
+            Self::Calibration(spec) => spec.device,
             Self::Training(spec) => spec.device,
             Self::Evaluation(spec) => spec.device,
             _ => Device::Cpu,
@@ -358,6 +364,10 @@ impl JobSpec {
                 let (device, goes_on_from) = (Device::Cpu, checkpoint);
                 let simulator = simulator_on(device);
                 Self::Training(TrainingSpec { device, goes_on_from, simulator, ..spec })
+            }
+            Self::Calibration(spec) => {
+                let (device, simulator) = (Device::Cpu, simulator_on(Device::Cpu));
+                Self::Calibration(CalibrationSpec { device, simulator, ..spec })
             }
             Self::Evaluation(spec) => {
                 let (device, simulator) = (Device::Cpu, simulator_on(Device::Cpu));
@@ -399,6 +409,7 @@ impl JobSpec {
             Self::Film(_) => return 3,
             Self::HeapFilm(_) => return 4,
             Self::EpisodeFilm(_) => return 5,
+            Self::Calibration(spec) if !spec.device.is_cpu() => return 8,
             Self::Evaluation(spec) if !spec.device.is_cpu() => return 6,
             Self::Training(spec) if spec.settings.gradients != Gradients::Libtorch => return 7,
             Self::Training(spec) if !spec.device.is_cpu() || spec.goes_on_from.is_some() => {

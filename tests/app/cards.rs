@@ -3,10 +3,12 @@
 use crate::harness::{ToyCard, calibrated, ended, functions, open};
 use crate::workers::{crew, served};
 use flip::app::{
-    App, Error, EvaluationRequest, Functions, Gradients, Hired, JobKind, JobState, PageQuery,
-    TrainingRequest,
+    App, CalibrationMethod, CalibrationRequest, Error, EvaluationRequest, Functions, Gradients,
+    Hired, JobKind, JobState, PageQuery, TrainingRequest,
 };
 use flip_core::domain::device::Device;
+use flip_core::domain::observable::{Observable, Observation};
+use flip_sim::repose::{Settings, repose};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -111,6 +113,83 @@ async fn a_card_that_breaks_is_a_failed_job_that_says_so_and_the_next_job_runs()
     let on_cpu = EvaluationRequest { device: Device::Cpu, ..on_card() };
     let (job, _) = app.start_evaluation(on_cpu).await.unwrap();
     assert_eq!(ended(&app, &job.id).await.state, JobState::Succeeded);
+    app.shutdown().await.unwrap();
+}
+
+/// A calibration of one set to within 5 deg, with heaps that take milliseconds.
+fn calibration_on_card() -> CalibrationRequest {
+    CalibrationRequest {
+        repose_deg: Some(28.0),
+        method: Some(CalibrationMethod::Sequential),
+        sets: Some(1),
+        tolerance_deg: Some(5.0),
+        particles: Some(200),
+        trials_max: Some(40),
+        device: Device::Cuda,
+        ..Default::default()
+    }
+}
+
+async fn no_calibration(app: &App, request: CalibrationRequest) -> String {
+    let Err(Error::Invalid(fields)) = app.start_calibration(request).await else {
+        panic!("it was accepted");
+    };
+    assert_eq!((fields.len(), fields[0].field.as_str()), (1, "device"), "{fields:?}");
+    fields[0].message.clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_calibration_pours_its_heaps_on_a_card_and_one_that_breaks_is_said() {
+    let (_folder, app) = open(with_card(ToyCard::default())).await;
+    let (job, _) = app.start_calibration(calibration_on_card()).await.unwrap();
+    assert_eq!(job.subject.device, Device::Cuda);
+    let job = ended(&app, &job.id).await;
+    assert_eq!(job.state, JobState::Succeeded, "{:?}", job.error);
+    let found = app.calibration(&job.id).await.unwrap();
+    assert_eq!(found.device, Device::Cuda);
+    // The card of this test pours true heaps; the runner on its cores has a formula.
+    let poured = app.trials(&job.id, PageQuery::default()).await.unwrap().items;
+    let first = poured.iter().find(|trial| trial.tip_deg.is_some()).unwrap();
+    let settings = Settings { readings: first.readings, ..Settings::with_particles(200) };
+    let alone = repose(&first.parameters, &settings, first.seed).unwrap();
+    assert!((first.tip_deg.unwrap() - alone.tip_deg).abs() < 0.01, "{first:?} {alone:?}");
+    let on_cpu = CalibrationRequest { device: Device::Cpu, ..calibration_on_card() };
+    let (other, created) = app.start_calibration(on_cpu).await.unwrap();
+    assert!(created && other.id != job.id);
+    let large =
+        CalibrationRequest { verify_particles: Some(4000), method: None, ..calibration_on_card() };
+    assert!(no_calibration(&app, large).await.contains("4000 grains in a heap"));
+    app.shutdown().await.unwrap();
+
+    let (_folder, app) = open(functions()).await;
+    assert!(no_calibration(&app, calibration_on_card()).await.contains("no driver in this test"));
+    app.shutdown().await.unwrap();
+
+    let (_folder, app) = open(with_card(ToyCard { breaks_at: Some(1) })).await;
+    let (job, _) = app.start_calibration(calibration_on_card()).await.unwrap();
+    let failed = ended(&app, &job.id).await;
+    assert_eq!((failed.state, failed.attempts), (JobState::Failed, 1));
+    let error = failed.error.unwrap();
+    assert!(
+        error.contains("the toy card was taken away") && error.contains("device: cpu"),
+        "{error}"
+    );
+    assert!(app.trials(&job.id, PageQuery::default()).await.unwrap().items.is_empty());
+    let (again, _) = app.start_again(&job.id, Some(Device::Cpu)).await.unwrap();
+    assert_eq!(ended(&app, &again.id).await.state, JobState::Succeeded);
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn other_measurements_are_for_the_processor() {
+    let (_folder, app) = open(with_card(ToyCard::default())).await;
+    let drained = Observation { observable: Observable::DrainedAngle {}, mean: 33.6, sd: 0.1, n: 5 };
+    let request = CalibrationRequest {
+        observations: Some(vec![drained]),
+        method: Some(CalibrationMethod::Emulator),
+        ..calibration_on_card()
+    };
+    assert!(no_calibration(&app, request).await.contains("other measurements"));
     app.shutdown().await.unwrap();
 }
 

@@ -17,6 +17,7 @@ use flip_core::domain::weighing::Outcome;
 use flip_learn::train::evaluate::Dose;
 use flip_learn::train::formula::Formula;
 use flip_learn::train::train_on;
+use flip_sim::batch::heaps::Heaps;
 use flip_sim::batch::{Batch, Cores, Engine, Failed, Motion, Stand};
 use flip_sim::dispense::Dispenser;
 use flip_sim::repose::{self, Refusal, Repose};
@@ -194,6 +195,12 @@ impl Engine for ToyCard {
             Some(steps) => Box::new(Breaking { batch, steps }),
             None => batch,
         })
+    }
+    fn heaps(&self, places: usize) -> Result<Option<Box<dyn Heaps>>, Failed> {
+        match self.breaks_at {
+            Some(_) => Err(Failed("the toy card was taken away".to_owned())),
+            None => Cores.heaps(places),
+        }
     }
 }
 

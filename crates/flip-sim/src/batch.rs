@@ -129,7 +129,7 @@ pub trait Engine: Send + Sync {
         Ok(None)
     }
 
-    /// So many empty places for heaps; none if they are better computed one by one on cores.
+    /// So many empty places for heaps; none if it has no solver of heaps.
     ///
     /// # Errors
     /// A device that fails, or has too little memory.
@@ -195,6 +195,10 @@ impl Engine for Cores {
 
     fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
         Ok(Box::new(OnCores { spoons: (0..places).map(|_| None).collect() }))
+    }
+
+    fn heaps(&self, places: usize) -> Result<Option<Box<dyn heaps::Heaps>>, Failed> {
+        Ok(Some(Box::new(heaps::OnCores::empty(places))))
     }
 }
 

@@ -198,7 +198,7 @@ impl Store {
             " AND seq < (SELECT min(seq) FROM job WHERE id IN ($2, $3)) GROUP BY kind"
         );
         let rows = concat!(
-            "SELECT id, kind, CASE kind WHEN 'calibration' THEN spec ->> '$.calibration.settings.method' END AS method FROM job WHERE ",
+            "SELECT id, kind, method FROM job WHERE ",
             waits!("$1"),
             " AND seq BETWEEN (SELECT min(seq) FROM job WHERE id IN ($2, $3)) AND (SELECT max(seq) FROM job WHERE id IN ($2, $3)) ORDER BY seq"
         );
@@ -224,8 +224,7 @@ impl Store {
 
     /// What the last jobs that succeeded at the first attempt were, and how long each took, s.
     pub async fn times_taken(&self) -> Result<Vec<(Sort, f64)>> {
-        let sql = "SELECT kind, CASE kind WHEN 'calibration' THEN spec ->> '$.calibration.settings.method' END AS method, \
-                   CAST(finished_at - started_at AS DOUBLE PRECISION) / 1000 AS seconds FROM job \
+        let sql = "SELECT kind, method, CAST(finished_at - started_at AS DOUBLE PRECISION) / 1000 AS seconds FROM job \
                    WHERE state = 'succeeded' AND attempts = 1 ORDER BY seq DESC LIMIT $1";
         let rows = sqlx::query(sql).bind(TIMES_MAX).fetch_all(&self.reader).await?;
         rows.iter().map(|row| Ok((sort(row)?, row.plain("seconds")?))).collect()
@@ -286,8 +285,9 @@ impl Tx {
                 None => Ok((job, false)),
             };
         }
-        let sql = "INSERT INTO job (id, kind, spec, spec_sha256, state, message, created_at, subject, again_of, labels) \
-                   VALUES ($1, $2, $3, $4, 'queued', 'waits for a worker', $5, $6, $7, $8) RETURNING *";
+        let sql = "INSERT INTO job (id, kind, spec, spec_sha256, state, message, created_at, subject, again_of, labels, method, device) \
+                   VALUES ($1, $2, $3, $4, 'queued', 'waits for a worker', $5, $6, $7, $8, \
+                   CAST($3 AS TEXT) ->> '$.calibration.settings.method', $9) RETURNING *";
         let row = sqlx::query(sql)
             .bind(id)
             .bind(word(&kind))
@@ -297,6 +297,7 @@ impl Tx {
             .bind(json(subject)?)
             .bind(again_of)
             .bind(labels)
+            .bind(word(&subject.device))
             .fetch_one(&mut *self.inner)
             .await?;
         Ok((self.announce_job(&row).await?, true))

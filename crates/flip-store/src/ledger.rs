@@ -20,7 +20,7 @@
 //! saved: a job that makes progress is not given up.
 
 use super::jobs::{job_topic, left_s};
-use super::row::Columns;
+use super::row::{Columns, json};
 use super::{Error, Result, Store, Tx};
 use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState, Progress};
@@ -84,15 +84,13 @@ impl Store {
     /// worker whose lease has expired. A kind or device that is not known here waits for a program
     /// that knows it.
     pub async fn claimable(&self, now: Timestamp) -> Result<Vec<Claimable>> {
-        // The list of states and the kind that is no column let the index of unfinished jobs answer: an idle worker
-        // must not read the history.
-        // Only those that name a device are taken apart: a queue is long.
-        let sql = "SELECT id, kind, coalesce(subject ->> '$.device', 'cpu') AS device FROM job WHERE seq IN \
-                   (SELECT min(seq) FROM job WHERE state IN ('queued', 'running') \
-                    AND (state = 'queued' OR lease_until < $1) \
-                    GROUP BY kind || '', CASE WHEN subject LIKE '%\"device\":%' THEN subject ->> '$.device' END) \
-                   ORDER BY seq";
-        let rows = sqlx::query(sql).bind(now.unix_ms()).fetch_all(&self.reader).await?;
+        // One look into an index for each kind and device: a queue is long.
+        let sql = "SELECT id, kind, device FROM job WHERE seq IN (SELECT (SELECT seq FROM job \
+                   WHERE kind = k.value AND device = d.value AND state IN ('queued', 'running') \
+                   AND (state = 'queued' OR lease_until < $1) ORDER BY seq LIMIT 1) \
+                   FROM json_each($2) k, json_each($3) d) ORDER BY seq";
+        let query = sqlx::query(sql).bind(now.unix_ms()).bind(json(&JobKind::ALL)?);
+        let rows = query.bind(json(&Device::ALL)?).fetch_all(&self.reader).await?;
         let known = |row: &AnyRow| {
             let (kind, device) = (row.word("job", "kind").ok()?, row.word("job", "device").ok()?);
             Some(row.plain("id").map(|job| Claimable { kind, device, job }))

@@ -319,6 +319,23 @@ async fn words_leave_the_schema_and_nothing_else_does() {
     assert!(changed.is_empty(), "{changed:#?}");
 }
 
+#[tokio::test]
+async fn jobs_of_an_older_folder_have_the_method_and_the_device_of_their_specifications() {
+    let folder = folder_of(42).await;
+    let pool = connect(folder.path()).await;
+    run(
+        &pool,
+        "UPDATE job SET subject = '{\"powders\":[],\"device\":\"cuda\"}' WHERE kind = 'training'",
+    )
+    .await;
+    migrations(i64::MAX).run(&pool).await.unwrap();
+    let all = "SELECT DISTINCT concat_ws(' ', kind, method, device) FROM job ORDER BY 1";
+    let found = texts(&pool, all).await;
+    assert!(found.contains(&"training cuda".to_owned()), "{found:?}");
+    assert!(found.contains(&"evaluation cpu".to_owned()), "{found:?}");
+    assert!(found.contains(&"calibration sequential cpu".to_owned()), "{found:?}");
+}
+
 #[test]
 fn released_migrations_stay_as_they_were() {
     let pinned = std::fs::read_to_string(stored("checksums.txt")).unwrap();

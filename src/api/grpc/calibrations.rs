@@ -58,6 +58,7 @@ impl calibrations_server::Calibrations for Service {
             simulator,
             fixed: request.fixed.into_iter().collect(),
             conditions: conditions(request.conditions),
+            device: named::<Device, _>("device", request.device)?.unwrap_or_default(),
             labels: labels(request.labels),
         };
         Ok(Response::new(self.app.start_calibration(request).await?.into()))

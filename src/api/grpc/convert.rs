@@ -113,6 +113,7 @@ same_fields! {
         observations: all(c.observations),
         under: c.under.map(Into::into),
         steepness: c.steepness.map(Into::into),
+        device: card_of(c.device),
         result: c.result.map(Into::into),
     }
     s: app::Steepness => Steepness { simulated_deg difference_deg uncertainty_deg agrees } {}

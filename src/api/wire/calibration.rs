@@ -1,6 +1,9 @@
 //! Calibrations, their trials and the parameter sets they found.
 
-use super::{Day, Flowability, Job, Labels, Observation, ParameterSetValues, StoredShakes, Under};
+use super::{
+    Day, Device, Flowability, Job, Labels, Observation, ParameterSetValues, StoredShakes, Under,
+    is_default,
+};
 use crate::app;
 use flip_core::domain::parameters::COUNT;
 use serde::{Deserialize, Serialize};
@@ -253,6 +256,11 @@ pub struct CalibrationRequest {
     #[serde(default)]
     #[schema(value_type = std::collections::BTreeMap<String, super::Condition>)]
     pub conditions: Day,
+    /// What simulates the heaps: the processor, or a graphics card of this process or of a worker,
+    /// which has room for 2560 grains. A card's heaps have the statistics of the processor's and other
+    /// bytes. Other measurements are simulated on the processor alone.
+    #[serde(default)]
+    pub device: Device,
     /// What the caller writes on it, to find it again.
     #[serde(default)]
     pub labels: Labels,
@@ -260,7 +268,8 @@ pub struct CalibrationRequest {
 
 request! { CalibrationRequest => app::CalibrationRequest {
     powder, repose_deg, sd_deg, n, method, sets, tolerance_deg, particles, trials_max,
-    verify_repeats, readings, seed, observations, shakes, verify_particles, fixed, simulator, conditions, labels,
+    verify_repeats, readings, seed, observations, shakes, verify_particles, fixed, simulator, conditions,
+    device, labels,
 } }
 
 /// A calibration: its job, its target, and its result once it has succeeded.
@@ -277,6 +286,9 @@ pub struct Calibration {
     pub under: Option<Under>,
     /// Other measurements.
     pub observations: Vec<Observation>,
+    /// What it simulates on; absent for the processor.
+    #[serde(skip_serializing_if = "is_default")]
+    pub device: Device,
     /// Every setting of the search and of the heap experiment.
     #[schema(value_type = Object)]
     pub settings: serde_json::Value,
@@ -288,7 +300,7 @@ pub struct Calibration {
 }
 
 answer! { app::Calibration => Calibration {
-    job, powder, target, under, observations, settings, result, steepness,
+    job, powder, target, under, observations, device, settings, result, steepness,
 } }
 
 /// The simulated heaps of a calibration beside the measured one.

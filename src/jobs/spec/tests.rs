@@ -44,24 +44,27 @@ fn a_specification_with_a_field_of_version_2_says_so_and_one_without_keeps_its_t
 }
 
 #[test]
-fn a_card_is_an_input_of_version_6_and_the_processor_is_not_mentioned() {
+fn a_card_is_an_input_of_version_6_or_8_and_the_processor_is_not_mentioned() {
     let mut met = std::collections::HashSet::new();
     for text in include_str!("version_1.jsonl").lines() {
         let mut spec = JobSpec::read(text).unwrap();
         match &mut spec {
             JobSpec::Evaluation(spec) => spec.device = Device::Cuda,
             JobSpec::Training(spec) => spec.device = Device::Cuda,
+            JobSpec::Calibration(spec) => spec.device = Device::Cuda,
             _ => continue,
         }
+        let version = if spec.kind() == JobKind::Calibration { 8 } else { 6 };
         met.insert(spec.kind());
         let (on_card, sha256) = spec.canonical();
-        assert!(on_card.starts_with("{\"version\":6,"), "{on_card}");
+        assert!(on_card.starts_with(&format!("{{\"version\":{version},")), "{on_card}");
         assert!(on_card.contains("\"device\":\"cuda\""), "{on_card}");
         assert_eq!(JobSpec::read(&on_card).unwrap(), spec);
         assert_ne!(sha256, Sha256::digest(text).to_vec(), "another job");
-        assert_eq!(spec.subject().device, Device::Cuda);
+        assert_eq!((spec.device(), spec.subject().device), (Device::Cuda, Device::Cuda));
+        assert_eq!(spec.on_cpu(None).device(), Device::Cpu);
     }
-    assert_eq!(met.len(), 2, "of both kinds");
+    assert_eq!(met.len(), 3, "of each kind that may be for a card");
 }
 
 #[test]
@@ -90,8 +93,8 @@ fn gradients_of_our_own_are_an_input_of_version_7_and_libtorch_is_not_mentioned(
 #[test]
 fn a_newer_version_is_refused_by_its_number_and_damage_by_its_place() {
     let text = include_str!("version_1.jsonl").lines().next().unwrap();
-    let newer = text.replacen('{', "{\"version\":8,", 1);
-    assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(8))));
+    let newer = text.replacen('{', "{\"version\":9,", 1);
+    assert!(matches!(JobSpec::read(&newer), Err(Unreadable::Newer(9))));
     let damaged = text.replace("\"target\"", "\"targeted\"");
     let error = JobSpec::read(&damaged).unwrap_err();
     assert!(error.to_string().contains("missing field `target`"), "{error}");

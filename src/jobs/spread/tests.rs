@@ -1,7 +1,6 @@
 //! A batch whose portions somebody else carries out, or does not.
 
 use super::*;
-use crate::jobs::lanes::KINDS;
 use crate::jobs::runner::{HeapExperiment, HeapRunner, heaps_on_cores};
 use crate::jobs::stop::Stop;
 use flip_core::domain::job::Subject;
@@ -72,7 +71,7 @@ impl Shop {
             id: id.into(),
             name: id.into(),
             version: "1".into(),
-            kinds: KINDS.to_vec(),
+            kinds: JobKind::ALL.to_vec(),
             threads: 1,
             serves: false,
             card: None,

@@ -22,6 +22,18 @@ pub enum JobKind {
     Film,
 }
 
+impl JobKind {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::Calibration,
+        Self::Training,
+        Self::Evaluation,
+        Self::Investigation,
+        Self::Repose,
+        Self::Film,
+    ];
+}
+
 /// State of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

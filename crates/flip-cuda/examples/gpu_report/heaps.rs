@@ -23,7 +23,7 @@ pub fn report(card: &Card) -> Result<(), CardError> {
         .map(|k| {
             let share =
                 |index: u64| (derive(k as u64, &[index]) >> 11) as f64 / (1u64 << 53) as f64;
-            let set = powder(1.3 * share(1), 2.0 * share(2));
+            let set = powder(1.2 * share(1), 1.2 * share(2));
             Wanted { set, settings: Settings::default(), seed: k as u64 }
         })
         .collect();

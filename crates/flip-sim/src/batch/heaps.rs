@@ -7,6 +7,8 @@
 //!
 //! A step begins once every heap has asked for something. Lengths in grain diameters, time in substeps.
 
+mod cores;
+
 use super::Failed;
 use crate::constraints::{Vector, dot, vector};
 use crate::dispense::outside::{State, Strengths};
@@ -21,6 +23,8 @@ use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Mutex, PoisonError};
+
+pub(super) use cores::OnCores;
 
 /// A powder on its base, without grains.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,53 +1,19 @@
 //! The procedure on a solver outside, which is the product's own here.
 
 use super::*;
-use crate::constraints::Contact;
-use crate::dispense::outside::Grain;
-use crate::engine::Physical;
-use crate::mechanisms::Mechanisms;
+use crate::batch::{self, Batch, Cores, Several};
 use crate::repose::repose;
-use crate::walls::{Plate, Shape};
+use std::sync::Arc;
 
-/// The product's own solver behind the interface; after so many steps it fails.
+/// The cores, which fail after so many steps.
 struct Outside {
-    heaps: Vec<Option<Physical>>,
+    heaps: Box<dyn Heaps>,
     steps_left: usize,
-}
-
-fn contact(of: &Strengths) -> Contact {
-    let Strengths { normal, tangential, normal_damping, tangential_damping, .. } = *of;
-    let Strengths { friction, attraction, onset, reach, .. } = *of;
-    Contact {
-        normal,
-        tangential,
-        normal_damping,
-        tangential_damping,
-        friction,
-        attraction,
-        onset,
-        reach,
-    }
-}
-
-fn begun(ground: &Ground) -> Physical {
-    let law = Law {
-        gravity: ground.gravity,
-        drag: ground.drag,
-        grain: contact(&ground.grain),
-        wall: contact(&ground.wall),
-        mechanisms: Mechanisms::default(),
-        extended: false,
-        diameter_m: 1.0,
-        substep_s: 1.0,
-    };
-    let mut engine = Physical::under(law, &Settings::default());
-    engine.plate = Shape::Plate(Plate { radius: ground.radius });
-    engine
 }
 
 impl Heaps for Outside {
     fn places(&self) -> usize {
-        self.heaps.len()
+        self.heaps.places()
     }
     fn room(&self) -> u32 {
         2560
@@ -57,37 +23,16 @@ impl Heaps for Outside {
             return Err(Failed("it was taken away".to_owned()));
         }
         self.steps_left -= 1;
-        let mut stands = Vec::new();
-        for (place, order) in orders {
-            if let Some(ground) = &order.begin {
-                self.heaps[*place] = Some(begun(ground));
-            }
-            let heap = self.heaps[*place].as_mut().expect("it was begun");
-            for [x, v] in &order.pour {
-                heap.pour(vector(x[0], x[1], x[2]), vector(v[0], v[1], v[2]));
-            }
-            heap.advance(order.substeps);
-            let grain = |x: &Vector| Grain {
-                id: 0,
-                x: [x[0], x[1], x[2]],
-                v: [0.0; 3],
-                contacts: 0.0,
-                wall_anchor: None,
-            };
-            let grains = heap.heap().iter().map(grain).collect();
-            stands.push(Stand {
-                apex: heap.apex(),
-                speed_rms: heap.speed_rms(),
-                state: order.look.then_some(State { grains, stuck: Vec::new() }),
-                fault: heap.fault(),
-            });
-        }
-        Ok(stands)
+        self.heaps.carry_out(orders)
     }
 }
 
+fn on_cores(places: usize) -> Box<dyn Heaps> {
+    batch::Engine::heaps(&Cores, places).unwrap().unwrap()
+}
+
 fn outside(places: usize, steps_left: usize) -> Outside {
-    Outside { heaps: (0..places).map(|_| None).collect(), steps_left }
+    Outside { heaps: on_cores(places), steps_left }
 }
 
 fn wanted(count: u64) -> Vec<Wanted> {
@@ -141,6 +86,67 @@ fn a_solver_that_fails_and_a_break_end_it_and_what_had_ended_was_told() {
     .unwrap();
     assert_eq!(told, 1);
     pour(&mut outside(2, 0), &[], &mut |_, _| ControlFlow::Continue(())).unwrap();
+}
+
+/// Two places alone, with heaps or without.
+struct Two(bool);
+
+impl batch::Engine for Two {
+    fn name(&self) -> String {
+        "two places".to_owned()
+    }
+    fn places(&self) -> usize {
+        2
+    }
+    fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
+        batch::Engine::batch(&Cores, places)
+    }
+    fn heaps(&self, places: usize) -> Result<Option<Box<dyn Heaps>>, Failed> {
+        Ok(self.0.then(|| on_cores(places)))
+    }
+}
+
+fn several(with_heaps: [bool; 3]) -> Arc<dyn batch::Engine> {
+    Several::of(with_heaps.map(|it| Arc::new(Two(it)) as Arc<dyn batch::Engine>).into()).unwrap()
+}
+
+#[test]
+fn heaps_dealt_out_to_several_engines_are_those_of_one() {
+    let all = wanted(7);
+    let poured = |heaps: &mut dyn Heaps| {
+        let mut found = vec![None; all.len()];
+        pour(heaps, &all, &mut |place, outcome| {
+            found[place] = Some(outcome);
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+        found
+    };
+    let alone = poured(&mut *on_cores(7));
+    assert!(alone.iter().all(|it| matches!(it, Some(Ok(_)))));
+    // Fewer places than engines leave some of them out.
+    for places in [2, 5] {
+        let mut heaps = several([true; 3]).heaps(places).unwrap().unwrap();
+        assert_eq!((heaps.places(), heaps.room()), (places, on_cores(1).room()));
+        assert_eq!(poured(&mut *heaps), alone, "{places} places");
+    }
+    assert!(several([true, false, true]).heaps(5).unwrap().is_none());
+}
+
+#[test]
+fn places_for_heaps_exist_and_are_named_once_and_begun() {
+    let first = || {
+        let ground = Some(wanted(1)[0].ground());
+        Order { begin: ground, pour: Vec::new(), substeps: 0, look: false }
+    };
+    let on = Order { begin: None, ..first() };
+    for mut heaps in [on_cores(5), several([true; 3]).heaps(5).unwrap().unwrap()] {
+        let mut said = |orders: &[(usize, Order)]| heaps.carry_out(orders).unwrap_err().0;
+        assert!(said(&[(4, first()), (5, first())]).contains("place 5 was named, and there are 5"));
+        assert!(said(&[(3, first()), (3, first())]).contains("place 3 is named twice"));
+        assert!(said(&[(2, on.clone())]).contains("is empty"));
+        assert_eq!(heaps.carry_out(&[(4, first()), (1, first())]).unwrap().len(), 2);
+    }
 }
 
 #[test]

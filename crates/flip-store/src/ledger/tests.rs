@@ -254,11 +254,10 @@ async fn the_oldest_of_each_kind_is_next_whatever_else_waits_or_runs() {
     assert_eq!(next(0).await, ["job", "training"]);
     // A job for a card holds up no other of its kind, and neither does one for an unknown device.
     for (id, device) in [("on a card", "cuda"), ("elsewhere", "abacus")] {
-        let older = "INSERT INTO job (seq, id, kind, spec, spec_sha256, state, created_at, subject) \
+        let older = "INSERT INTO job (seq, id, kind, spec, spec_sha256, state, created_at, device) \
                      VALUES ($1, $2, 'calibration', '{}', $3, 'queued', 0, $4)";
-        let subject = format!("{{\"powders\":[],\"device\":\"{device}\"}}");
         let older = sqlx::query(older).bind(-2 - i64::from(device != "cuda")).bind(id);
-        let older = older.bind(vec![id.as_bytes()[0]; 32]).bind(subject);
+        let older = older.bind(vec![id.as_bytes()[0]; 32]).bind(device);
         older.execute(ledger.store.writer().unwrap()).await.unwrap();
     }
     let claimable = ledger.store.claimable(at(0)).await.unwrap();

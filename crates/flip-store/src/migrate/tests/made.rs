@@ -396,7 +396,7 @@ fn ordinary(table: &str, column: &str, of: &str, k: u64, dice: &mut Dice) -> Str
             format!("{:?}", 5.0 + (dice.roll() % 1000) as f64 / 37.0)
         }
         (_, "REAL") => dice.pick(&["5e-324", "1e6", "0.1"]).to_owned(),
-        ("soluble" | "cancel_requested" | "may_clear", _) => (k % 2).to_string(),
+        ("soluble" | "cancel_requested" | "may_clear" | "serves", _) => (k % 2).to_string(),
         ("position" | "number" | "episode", _) => (k + 1).to_string(),
         ("n", _) => (1 + k).to_string(),
         ("seed" | "shakes" | "failing_since" | "started_at" | "claimed_at", _) => {
