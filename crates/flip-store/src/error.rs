@@ -253,7 +253,7 @@ impl Error {
             // The server follows another one.
             "25006" => Self::ReadOnly,
             // It shuts down, starts, or ended the connection.
-            "57P01" | "57P02" | "57P03" | "57P05" => Self::Unreachable(error.to_string()),
+            "25P03" | "57P01" | "57P02" | "57P03" | "57P05" => Self::Unreachable(error.to_string()),
             _ if state.starts_with("08") => Self::Unreachable(error.to_string()),
             _ => Self::Database(error),
         }

@@ -26,7 +26,8 @@ const COMPARE: Duration = Duration::from_secs(60);
 /// How a transaction that writes begins; [`lock`] follows.
 pub(super) const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED";
 /// What a committed transaction says must survive a power cut; settings that promise more stay.
-const TO_WRITE: &str = "SET lock_timeout = '5s'; \
+/// Whoever stops in the middle of a transaction, or is cut off, loses it before others have waited in vain.
+const TO_WRITE: &str = "SET lock_timeout = '5s'; SET idle_in_transaction_session_timeout = '3s'; \
      SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'";
 /// A transaction that reads sees one moment, as in SQLite.
 const TO_READ: &str =

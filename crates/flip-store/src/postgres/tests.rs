@@ -1,4 +1,5 @@
 use super::*;
+use crate::storage::Storage;
 use crate::{Store, now, testing};
 use sqlx::{AssertSqlSafe, Row};
 use std::collections::BTreeMap;
@@ -33,6 +34,31 @@ async fn both_databases_have_the_same_tables_columns_and_indexes() {
     let postgres = "SELECT tablename::text, indexname::text FROM pg_indexes WHERE schemaname = 'public' \
                     AND indexname NOT LIKE '%\\_key' AND indexname NOT LIKE '%\\_pkey'";
     assert_eq!(columns(&ours, sqlite).await, columns(&theirs, postgres).await);
+}
+
+#[tokio::test]
+async fn who_stops_in_the_middle_of_a_transaction_holds_up_the_others_for_seconds_only() {
+    let Some(cluster) = cluster() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let url = cluster.database_of(folder.path()).await;
+    let store = testing::open_on(&url, folder.path()).await.unwrap();
+    let elsewhere = tempfile::tempdir().unwrap();
+    let beside = Storage::on_server(&url, elsewhere.path()).unwrap();
+    let beside = Store::open_beside(beside).await.unwrap();
+    // As a process that is stopped, or whose network is cut, in its middle.
+    let mut stopped = beside.write().await.unwrap();
+    for _ in 0..2 {
+        let mut tx = store.write().await.unwrap();
+        tx.emit("bench", "held", &serde_json::json!({})).await.unwrap();
+        tx.commit().await.unwrap();
+    }
+    let error = stopped.commit().await.unwrap_err();
+    assert!(matches!(error, Error::Unreachable(_)), "{error}");
+    let mut goes_on = beside.write().await.unwrap();
+    goes_on.emit("bench", "held", &serde_json::json!({})).await.unwrap();
+    goes_on.commit().await.unwrap();
+    beside.close().await;
+    store.close().await;
 }
 
 #[tokio::test]
