@@ -104,7 +104,10 @@ impl Helper<'_> {
             if others == 0 {
                 return;
             }
-            let _ = self.runtime.block_on(tokio::time::timeout(LOOK, changes.changed()));
+            // A timer is made where there is a runtime.
+            let _ = self
+                .runtime
+                .block_on(async { tokio::time::timeout(LOOK, changes.changed()).await });
         }
     }
 
