@@ -89,7 +89,8 @@ pub(super) async fn run(
     let mut done = BTreeMap::<Fault, u32>::new();
     for (k, &fault) in faults.iter().enumerate() {
         site.mend()?;
-        site.feed().await?;
+        let last = || format!("after the faults {:?}", &faults[k.saturating_sub(12)..k]);
+        site.feed().await.with_context(last)?;
         sleep(Duration::from_millis(rng.random_range(100..1500))).await;
         site.inflict(fault, cluster, &mut rng)?;
         *done.entry(fault).or_default() += 1;

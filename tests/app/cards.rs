@@ -183,7 +183,8 @@ async fn a_calibration_pours_its_heaps_on_a_card_and_one_that_breaks_is_said() {
 #[tokio::test(flavor = "multi_thread")]
 async fn other_measurements_are_for_the_processor() {
     let (_folder, app) = open(with_card(ToyCard::default())).await;
-    let drained = Observation { observable: Observable::DrainedAngle {}, mean: 33.6, sd: 0.1, n: 5 };
+    let drained =
+        Observation { observable: Observable::DrainedAngle {}, mean: 33.6, sd: 0.1, n: 5 };
     let request = CalibrationRequest {
         observations: Some(vec![drained]),
         method: Some(CalibrationMethod::Emulator),

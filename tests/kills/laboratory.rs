@@ -24,7 +24,7 @@ impl Drop for Process {
 
 /// Starts `flip` and reads the first document it prints.
 pub fn started(arguments: &[&str]) -> (Process, Value) {
-    let mut process = Command::new(env!("CARGO_BIN_EXE_flip"))
+    let mut process = Command::new(flip_testing::program(env!("CARGO_BIN_EXE_flip")))
         .args(arguments)
         .arg("--json")
         .stdout(Stdio::piped())
