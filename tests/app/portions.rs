@@ -208,6 +208,47 @@ async fn a_portion_of_a_worker_that_died_is_taken_again_and_nothing_of_it_counts
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_thread_that_finds_no_portion_waits_for_one_while_another_stands_still() {
+    let Some((_folder, storage, app, pool)) = served().await else { return };
+    let slow = counted(&Arc::default(), 5 * TAKES);
+    let first = Hired::start(&storage, quick("first"), slow).await.unwrap();
+    let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
+    succeeds(&app, &job).await;
+    let (gate, stands, count) =
+        (Arc::<AtomicBool>::default(), AtomicBool::default(), Arc::<AtomicUsize>::default());
+    let (opened, counts) = (gate.clone(), count.clone());
+    // The first dose stands still, all others are quick.
+    let weigh = doses_on_cores(move |task, simulation| {
+        let is_first = !stands.swap(true, Ordering::SeqCst);
+        while is_first && !opened.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        counts.fetch_add(1, Ordering::SeqCst);
+        dose(task, simulation)
+    });
+    let helps = Functions { weigh, ..functions() };
+    let two = Crew { threads: 2, ..quick("second") };
+    let second = Hired::start(&storage, two, helps).await.unwrap();
+    let (job, _) = app.start_evaluation(evaluation(40)).await.unwrap();
+    // A worker that died: another takes the portion that stands still.
+    tokio::select! {
+        () = succeeds(&app, &job) => {}
+        () = half_a_minute_passes(&pool) => {}
+    }
+    // Time to find that no portion is left.
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let before = count.load(Ordering::SeqCst);
+    let (job, _) = app.start_evaluation(evaluation(41)).await.unwrap();
+    succeeds(&app, &job).await;
+    assert!(count.load(Ordering::SeqCst) > before, "the other thread helped no more");
+    gate.store(true, Ordering::SeqCst);
+    for worker in [first, second] {
+        worker.shutdown().await;
+    }
+    app.shutdown().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_is_stopped_gives_its_portion_back() {
     let Some(stuck) = stuck().await else { return };
     let stopping = tokio::spawn(stuck.second.shutdown());

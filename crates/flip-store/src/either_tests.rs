@@ -203,7 +203,17 @@ async fn jobs_are_found_by_what_their_specifications_say() {
     assert_eq!((waiting.before.len(), ids(&waiting)), (0, vec!["j-1".into(), "j-2".into()]));
     let last = store.waiting_jobs(["j-3", "j-3"]).await.unwrap();
     assert_eq!(ids(&last), ["j-3"]);
-    assert_eq!(last.before.iter().map(|(_, many)| many).sum::<u64>(), 2);
+    let sum = |of: &Waiting| of.before.iter().map(|(_, many)| many).sum::<u64>();
+    assert_eq!(sum(&last), 2);
+    // A job that is computed does not wait; one whose worker is gone does again.
+    for (lease_ms, waits) in [(-60_000, 2), (60_000, 1)] {
+        let mut tx = store.write().await.unwrap();
+        let until =
+            flip_core::domain::timestamp::Timestamp::from_unix_ms(now().unix_ms() + lease_ms);
+        tx.claim("j-1", "worker", now(), until).await.unwrap();
+        tx.commit().await.unwrap();
+        assert_eq!(sum(&store.waiting_jobs(["j-3", "j-3"]).await.unwrap()), waits);
+    }
     assert_eq!(store.repose_runs("salt").await.unwrap(), 12);
     assert_eq!(store.repose_runs("sand").await.unwrap(), 0);
     let under_way = store.calibration_under_way("salt", None).await.unwrap();
@@ -219,7 +229,7 @@ async fn jobs_are_found_by_what_their_specifications_say() {
     let cancelled = tx.request_cancel("j-2", now()).await.unwrap().unwrap();
     assert_eq!(cancelled.state, JobState::Cancelled);
     tx.commit().await.unwrap();
-    let sql = "UPDATE job SET state = 'succeeded', result = '{}', attempts = 1, started_at = 1000, finished_at = 3500 WHERE id = 'j-1'";
+    let sql = "UPDATE job SET state = 'succeeded', lease_until = NULL, result = '{}', attempts = 1, started_at = 1000, finished_at = 3500 WHERE id = 'j-1'";
     sqlx::query(sql).execute(store.writer().unwrap()).await.unwrap();
     assert_eq!(store.times_taken().await.unwrap()[0].1, 2.5);
     let newest = async |powder, deg| store.newest_calibration(powder, deg, None).await.unwrap();

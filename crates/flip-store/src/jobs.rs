@@ -102,6 +102,8 @@ macro_rules! waits {
     };
 }
 
+pub(super) use waits;
+
 /// Jobs that are looked back at for how long they took.
 const TIMES_MAX: i64 = 500;
 
@@ -192,28 +194,32 @@ impl Store {
 
     /// The jobs that no worker computes, around these two: a queue of thousands is counted, not read.
     pub async fn waiting_jobs(&self, around: [&str; 2]) -> Result<Waiting> {
-        let counts = concat!(
-            "SELECT kind, count(*) AS many FROM job WHERE ",
-            waits!("$1"),
-            " AND seq < (SELECT min(seq) FROM job WHERE id IN ($2, $3)) GROUP BY kind"
-        );
+        // All that have not ended, of which the index alone knows how many; those that are computed are few.
+        let unfinished = "SELECT kind, count(*) AS many FROM job WHERE state IN ('queued', 'running') \
+                          AND seq < (SELECT min(seq) FROM job WHERE id IN ($1, $2)) GROUP BY kind";
+        let computed = "SELECT kind, count(*) AS many FROM job WHERE state = 'running' AND lease_until >= $3 \
+                        AND seq < (SELECT min(seq) FROM job WHERE id IN ($1, $2)) GROUP BY kind";
         let rows = concat!(
             "SELECT id, kind, method FROM job WHERE ",
-            waits!("$1"),
-            " AND seq BETWEEN (SELECT min(seq) FROM job WHERE id IN ($2, $3)) AND (SELECT max(seq) FROM job WHERE id IN ($2, $3)) ORDER BY seq"
+            waits!("$3"),
+            " AND seq BETWEEN (SELECT min(seq) FROM job WHERE id IN ($1, $2)) AND (SELECT max(seq) FROM job WHERE id IN ($1, $2)) ORDER BY seq"
         );
-        let asked = async |sql: &'static str| {
-            let query = sqlx::query(sql).bind(now().unix_ms()).bind(around[0]).bind(around[1]);
-            query.fetch_all(&self.reader).await
-        };
+        let (at, asked) = (now().unix_ms(), |sql| sqlx::query(sql).bind(around[0]).bind(around[1]));
         // A kind that is not known here waits for a program that knows it.
         let count = |row: &AnyRow| {
             let kind = row.word("job", "kind").ok()?;
             Some(row.plain("many").map(|many: i64| (kind, many.cast_unsigned())))
         };
         let known = |row: &AnyRow| Some((row.plain("id"), sort(row).ok()?));
-        let before = asked(counts).await?.iter().filter_map(count).collect::<Result<_>>()?;
-        let rows = asked(rows).await?;
+        let before = asked(unfinished).fetch_all(&self.reader).await?;
+        let mut before: Vec<_> = before.iter().filter_map(count).collect::<Result<_>>()?;
+        let computed = asked(computed).bind(at).fetch_all(&self.reader).await?;
+        let computed: Vec<_> = computed.iter().filter_map(count).collect::<Result<_>>()?;
+        for (kind, many) in &mut before {
+            let busy = computed.iter().filter(|(other, _)| other == kind).map(|(_, many)| many);
+            *many = many.saturating_sub(busy.sum());
+        }
+        let rows = asked(rows).bind(at).fetch_all(&self.reader).await?;
         let jobs = rows
             .iter()
             .filter_map(known)

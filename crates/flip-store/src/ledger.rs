@@ -19,8 +19,8 @@
 //! [`DEATHS_MAX`] such ends is it considered the cause. Both counters restart whenever something is
 //! saved: a job that makes progress is not given up.
 
-use super::jobs::{job_topic, left_s};
-use super::row::{Columns, json};
+use super::jobs::{job_topic, left_s, waits};
+use super::row::Columns;
 use super::{Error, Result, Store, Tx};
 use flip_core::domain::device::Device;
 use flip_core::domain::job::{JobKind, JobState, Progress};
@@ -84,13 +84,17 @@ impl Store {
     /// worker whose lease has expired. A kind or device that is not known here waits for a program
     /// that knows it.
     pub async fn claimable(&self, now: Timestamp) -> Result<Vec<Claimable>> {
-        // One look into an index for each kind and device: a queue is long.
-        let sql = "SELECT id, kind, device FROM job WHERE seq IN (SELECT (SELECT seq FROM job \
-                   WHERE kind = k.value AND device = d.value AND state IN ('queued', 'running') \
-                   AND (state = 'queued' OR lease_until < $1) ORDER BY seq LIMIT 1) \
-                   FROM json_each($2) k, json_each($3) d) ORDER BY seq";
-        let query = sqlx::query(sql).bind(now.unix_ms()).bind(json(&JobKind::ALL)?);
-        let rows = query.bind(json(&Device::ALL)?).fetch_all(&self.reader).await?;
+        // From the first of one sort to that of the next, each by one look into the index: a queue is long.
+        let sql = concat!(
+            "WITH RECURSIVE first (seq, kind, device) AS (SELECT seq, kind, device FROM job WHERE seq = (SELECT seq FROM job WHERE ",
+            waits!("$1"),
+            " ORDER BY kind, device, seq LIMIT 1) UNION ALL SELECT j.seq, j.kind, j.device FROM first f JOIN job j ON j.seq = \
+             (SELECT seq FROM job WHERE (kind, device) > (f.kind, f.device) AND ",
+            waits!("$1"),
+            " ORDER BY kind, device, seq LIMIT 1)) \
+             SELECT j.id, j.kind, j.device FROM first f JOIN job j ON j.seq = f.seq ORDER BY j.seq"
+        );
+        let rows = sqlx::query(sql).bind(now.unix_ms()).fetch_all(&self.reader).await?;
         let known = |row: &AnyRow| {
             let (kind, device) = (row.word("job", "kind").ok()?, row.word("job", "device").ok()?);
             Some(row.plain("id").map(|job| Claimable { kind, device, job }))

@@ -15,9 +15,6 @@ pub enum Device {
 }
 
 impl Device {
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::Cpu, Self::Cuda];
-
     /// Whether it is the processor, which what is stored does not mention.
     pub fn is_cpu(&self) -> bool {
         *self == Self::Cpu

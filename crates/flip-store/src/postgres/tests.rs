@@ -46,7 +46,7 @@ async fn who_stops_in_the_middle_of_a_transaction_holds_up_the_others_for_second
     let beside = Storage::on_server(&url, elsewhere.path()).unwrap();
     let beside = Store::open_beside(beside).await.unwrap();
     // As a process that is stopped, or whose network is cut, in its middle.
-    let mut stopped = beside.write().await.unwrap();
+    let stopped = beside.write().await.unwrap();
     for _ in 0..2 {
         let mut tx = store.write().await.unwrap();
         tx.emit("bench", "held", &serde_json::json!({})).await.unwrap();
