@@ -1,5 +1,5 @@
 #!/bin/bash
-# What a graphics card does for an evaluation, a training and the demonstration, beside this machine's cores, by the commands that users call.
+# What a graphics card does for a calibration, an evaluation, a training and the demonstration, beside this machine's cores, by the commands that users call.
 #
 #     .ci/gpu_report.sh path/to/flip [folder]
 #
@@ -32,6 +32,8 @@ done
 took evaluate-cuda "${evaluate[@]}" --device cuda
 [ -n "${ONLY_CARD:-}" ] || took evaluate-cpu "${evaluate[@]}"
 took train-cuda "${train[@]}" --device cuda
+# The first makes the emulator that both use.
+for powder in salt sugar; do took "calibrate-$powder-cuda" calibrate --powder "$powder" --device cuda --json; done
 (data=$data/nothing && mkdir -p "$data" && took demo-cuda demo --exit --listen 127.0.0.1:0 --seed 1 --json --device cuda)
 policy=$(python3 -c 'import json, sys; print(json.load(open(sys.argv[1]))["policy"])' "$data/train-cuda.json")
 took trained-on-card-cuda "${evaluate[@]}" --policy "$policy" --device cuda
@@ -39,6 +41,8 @@ python3 - "$data" <<'PY'
 import json, pathlib, sys
 for path in sorted(pathlib.Path(sys.argv[1]).glob("*-c[up]*.json")):
     document = json.loads(path.read_text())
+    if not {"card", "summary"} & document.keys():
+        continue
     print(path.stem, "on", document.get("card") or "the processor")
     for row in document.get("summary", []):
         low, high = row["ci95"]

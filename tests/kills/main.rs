@@ -18,7 +18,8 @@ use tempfile::TempDir;
 
 /// Kills in `make test`, on SQLite and on PostgreSQL, where a cut network is waited for.
 const KILLS: [u64; 2] = [30, 16];
-/// Laboratories for each core whose services are killed in parallel: a dose is mostly waiting.
+/// Laboratories for each core whose services are killed in parallel, unless `FLIP_LABORATORIES` says
+/// how many a core: a dose is mostly waiting.
 const LABORATORIES: u64 = 4;
 const TARGET_MG: f64 = 12.0;
 const TOLERANCE_MG: f64 = 1.0;
@@ -231,9 +232,12 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
 #[test]
 fn killed_at_any_moment_of_a_dose_nothing_is_poured_twice_and_the_bench_waits_for_a_person() {
     let usual = KILLS[usize::from(flip_testing::on_postgres())];
-    let kills = std::env::var("FLIP_KILLS").map_or(usual, |text| text.parse().unwrap());
+    let number = |name: &str, usual: u64| {
+        std::env::var(name).map_or(usual, |text| text.parse::<u64>().unwrap())
+    };
+    let kills = number("FLIP_KILLS", usual);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let laboratories = LABORATORIES * cores as u64;
+    let laboratories = number("FLIP_LABORATORIES", LABORATORIES) * cores as u64;
     let (mut hit, mut unknown) = (0, 0);
     let (mut ended, mut poured_mg, mut over) = (Vec::new(), Vec::new(), Vec::new());
     let in_laboratory = |first: u64| {
