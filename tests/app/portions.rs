@@ -7,10 +7,11 @@ use flip::app::{
     App, Crew, EvaluationRequest, Functions, Hired, InvestigationRequest, Job, JobKind, JobState,
     Storage,
 };
-use flip::jobs::{doses_on_cores, heaps_on_cores, spoons_on_cores};
+use flip::jobs::{DoseExperiment, Run, Runner, doses_on_cores, heaps_on_cores, spoons_on_cores};
 use flip_bench::rig::{Simulation, Task};
 use flip_learn::train::evaluate::Dose;
 use sqlx::{AnyPool, AssertSqlSafe};
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
@@ -207,6 +208,35 @@ async fn a_portion_of_a_worker_that_died_is_taken_again_and_nothing_of_it_counts
     stuck.app.shutdown().await.unwrap();
 }
 
+/// Doses on the thread that asks for them, as all tests share the threads for cores: the first stands
+/// still until it is let go, all others are quick.
+#[derive(Default)]
+struct FirstStands {
+    stood: AtomicBool,
+    opened: AtomicBool,
+    made: AtomicUsize,
+}
+
+impl Runner<DoseExperiment, Result<Dose, String>> for FirstStands {
+    fn run(
+        &self,
+        experiments: &[DoseExperiment],
+        each: &mut (dyn FnMut(usize, Run<Result<Dose, String>>) -> ControlFlow<()> + Send + '_),
+    ) {
+        for (place, of) in experiments.iter().enumerate() {
+            let is_first = !self.stood.swap(true, Ordering::SeqCst);
+            while is_first && !self.opened.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            self.made.fetch_add(1, Ordering::SeqCst);
+            let outcome = dose(&of.task, &of.simulation);
+            if each(place, Run { outcome, seconds: TAKES.as_secs_f64() }).is_break() {
+                return;
+            }
+        }
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_thread_that_finds_no_portion_waits_for_one_while_another_stands_still() {
     let Some((_folder, storage, app, pool)) = served().await else { return };
@@ -214,19 +244,8 @@ async fn a_thread_that_finds_no_portion_waits_for_one_while_another_stands_still
     let first = Hired::start(&storage, quick("first"), slow).await.unwrap();
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
     succeeds(&app, &job).await;
-    let (gate, stands, count) =
-        (Arc::<AtomicBool>::default(), AtomicBool::default(), Arc::<AtomicUsize>::default());
-    let (opened, counts) = (gate.clone(), count.clone());
-    // The first dose stands still, all others are quick.
-    let weigh = doses_on_cores(move |task, simulation| {
-        let is_first = !stands.swap(true, Ordering::SeqCst);
-        while is_first && !opened.load(Ordering::SeqCst) {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        counts.fetch_add(1, Ordering::SeqCst);
-        dose(task, simulation)
-    });
-    let helps = Functions { weigh, ..functions() };
+    let stands = Arc::<FirstStands>::default();
+    let helps = Functions { weigh: stands.clone(), ..functions() };
     let two = Crew { threads: 2, ..quick("second") };
     let second = Hired::start(&storage, two, helps).await.unwrap();
     let (job, _) = app.start_evaluation(evaluation(40)).await.unwrap();
@@ -237,11 +256,12 @@ async fn a_thread_that_finds_no_portion_waits_for_one_while_another_stands_still
     }
     // Time to find that no portion is left.
     tokio::time::sleep(Duration::from_millis(300)).await;
-    let before = count.load(Ordering::SeqCst);
+    let before = stands.made.load(Ordering::SeqCst);
     let (job, _) = app.start_evaluation(evaluation(41)).await.unwrap();
     succeeds(&app, &job).await;
-    assert!(count.load(Ordering::SeqCst) > before, "the other thread helped no more");
-    gate.store(true, Ordering::SeqCst);
+    let made = stands.made.load(Ordering::SeqCst);
+    assert!(made > before, "the other thread helped no more");
+    stands.opened.store(true, Ordering::SeqCst);
     for worker in [first, second] {
         worker.shutdown().await;
     }
