@@ -19,7 +19,6 @@ use flip_core::domain::FieldError;
 use flip_core::domain::conditions::Under;
 use flip_core::domain::observable::Observation;
 use flip_core::domain::parameters::ParameterSet;
-use flip_core::stats::summary::{mean, sd};
 use futures::future::try_join_all;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -242,14 +241,12 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         }
         let requests = targets.into_iter().map(|target| {
             let request = request(&target, Some(&search), common.seed);
-            let (simulator, conditions) =
-                (arguments.extended.simulator.clone(), conditions.clone());
             let request = CalibrationRequest {
                 observations: observations.clone(),
                 shakes: shakes.clone(),
                 fixed: fixed.clone(),
-                simulator,
-                conditions,
+                simulator: arguments.extended.simulator.clone(),
+                conditions: conditions.clone(),
                 device: arguments.device.device(),
                 labels: labels.clone(),
                 ..request
@@ -389,7 +386,7 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
         mean_error_deg: result.mean_error_deg,
         sd_error_deg: result.sd_error_deg,
         verified_error_deg: result.verified_error_deg,
-        verified_sd_deg: sd(&errors),
+        verified_sd_deg: spread(&errors),
         standard_error_deg: mean(&standard),
         verify_particles: calibration.settings["verify_particles"]
             .as_u64()
@@ -402,6 +399,19 @@ fn powder(calibration: Calibration, posterior: Option<Posterior>) -> Result<Powd
             together,
             effective,
         }),
+    })
+}
+
+/// Mean; none of an empty slice.
+pub(super) fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// Sample standard deviation; none for fewer than two values.
+pub(super) fn spread(values: &[f64]) -> Option<f64> {
+    let (n, centre) = (values.len() as f64, mean(values)?);
+    (n > 1.0).then(|| {
+        (values.iter().map(|value| (value - centre).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
     })
 }
 

@@ -1,5 +1,6 @@
 //! `flip observe`: experiments other than the heap, repeated over seeds in parallel.
 
+use super::calibrate::{mean, spread};
 use super::failure::Failure;
 use super::table::table;
 use super::{Common, parameters};
@@ -7,7 +8,6 @@ use flip_core::domain::FieldError;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
-use flip_core::stats::summary::{mean, sd};
 use flip_sim::{self as sim, observe};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -92,7 +92,7 @@ fn simulate(observable: &Observable, set: &ParameterSet, seed: u64, repeats: u32
         }
     }
     let finite: Vec<f64> = values.iter().copied().flatten().collect();
-    let (mean, sd) = (mean(&finite), sd(&finite));
+    let (mean, sd) = (mean(&finite), spread(&finite));
     Observed { observable: *observable, unit: observable.unit(), mean, sd, values, refusals }
 }
 

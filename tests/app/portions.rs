@@ -130,6 +130,42 @@ async fn three_kinds_of_jobs_give_the_same_bytes_on_one_worker_and_on_three() {
     assert_eq!(all[0], all[1]);
 }
 
+/// Doses on the thread that asks for them, as all tests share the threads for cores: all of them, or
+/// the first alone, stand still until they are let go.
+struct Standing {
+    all: bool,
+    stood: AtomicBool,
+    gate: Arc<AtomicBool>,
+    made: AtomicUsize,
+}
+
+impl Standing {
+    fn still(all: bool) -> Arc<Self> {
+        let (stood, gate, made) = Default::default();
+        Arc::new(Self { all, stood, gate, made })
+    }
+}
+
+impl Runner<DoseExperiment, Result<Dose, String>> for Standing {
+    fn run(
+        &self,
+        experiments: &[DoseExperiment],
+        each: &mut (dyn FnMut(usize, Run<Result<Dose, String>>) -> ControlFlow<()> + Send + '_),
+    ) {
+        for (place, of) in experiments.iter().enumerate() {
+            let stands = self.all || !self.stood.swap(true, Ordering::SeqCst);
+            while stands && !self.gate.load(Ordering::SeqCst) {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            self.made.fetch_add(1, Ordering::SeqCst);
+            let outcome = dose(&of.task, &of.simulation);
+            if each(place, Run { outcome, seconds: TAKES.as_secs_f64() }).is_break() {
+                return;
+            }
+        }
+    }
+}
+
 /// An evaluation at worker `first`, with a portion at `second` that stands still until the gate opens.
 struct Stuck {
     app: App,
@@ -148,14 +184,8 @@ async fn stuck() -> Option<Stuck> {
     let first = Hired::start(&storage, quick("first"), slow).await.unwrap();
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
     succeeds(&app, &job).await;
-    let gate = Arc::<AtomicBool>::default();
-    let opened = gate.clone();
-    let weigh = doses_on_cores(move |task, simulation| {
-        while !opened.load(Ordering::SeqCst) {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        dose(task, simulation)
-    });
+    let weigh = Standing::still(true);
+    let gate = weigh.gate.clone();
     let (job, _) = app.start_evaluation(evaluation(40)).await.unwrap();
     until("it runs", async || app.job(&job.id).await.unwrap().state == JobState::Running).await;
     let helps = Functions { weigh, ..functions() };
@@ -208,35 +238,6 @@ async fn a_portion_of_a_worker_that_died_is_taken_again_and_nothing_of_it_counts
     stuck.app.shutdown().await.unwrap();
 }
 
-/// Doses on the thread that asks for them, as all tests share the threads for cores: the first stands
-/// still until it is let go, all others are quick.
-#[derive(Default)]
-struct FirstStands {
-    stood: AtomicBool,
-    opened: AtomicBool,
-    made: AtomicUsize,
-}
-
-impl Runner<DoseExperiment, Result<Dose, String>> for FirstStands {
-    fn run(
-        &self,
-        experiments: &[DoseExperiment],
-        each: &mut (dyn FnMut(usize, Run<Result<Dose, String>>) -> ControlFlow<()> + Send + '_),
-    ) {
-        for (place, of) in experiments.iter().enumerate() {
-            let is_first = !self.stood.swap(true, Ordering::SeqCst);
-            while is_first && !self.opened.load(Ordering::SeqCst) {
-                std::thread::sleep(Duration::from_millis(5));
-            }
-            self.made.fetch_add(1, Ordering::SeqCst);
-            let outcome = dose(&of.task, &of.simulation);
-            if each(place, Run { outcome, seconds: TAKES.as_secs_f64() }).is_break() {
-                return;
-            }
-        }
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_thread_that_finds_no_portion_waits_for_one_while_another_stands_still() {
     let Some((_folder, storage, app, pool)) = served().await else { return };
@@ -244,11 +245,12 @@ async fn a_thread_that_finds_no_portion_waits_for_one_while_another_stands_still
     let first = Hired::start(&storage, quick("first"), slow).await.unwrap();
     let (job, _) = app.start_calibration(calibration_of("sand", 1)).await.unwrap();
     succeeds(&app, &job).await;
-    let stands = Arc::<FirstStands>::default();
+    let stands = Standing::still(false);
     let helps = Functions { weigh: stands.clone(), ..functions() };
     let two = Crew { threads: 2, ..quick("second") };
-    let second = Hired::start(&storage, two, helps).await.unwrap();
     let (job, _) = app.start_evaluation(evaluation(40)).await.unwrap();
+    until("it runs", async || app.job(&job.id).await.unwrap().state == JobState::Running).await;
+    let second = Hired::start(&storage, two, helps).await.unwrap();
     // A worker that died: another takes the portion that stands still.
     tokio::select! {
         () = succeeds(&app, &job) => {}
@@ -261,7 +263,7 @@ async fn a_thread_that_finds_no_portion_waits_for_one_while_another_stands_still
     succeeds(&app, &job).await;
     let made = stands.made.load(Ordering::SeqCst);
     assert!(made > before, "the other thread helped no more");
-    stands.opened.store(true, Ordering::SeqCst);
+    stands.gate.store(true, Ordering::SeqCst);
     for worker in [first, second] {
         worker.shutdown().await;
     }
