@@ -13,7 +13,7 @@ mod service;
 
 use laboratory::{Laboratory, Motion};
 use service::{Database, Service, calibrate};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// Kills in `make test`, on SQLite and on PostgreSQL, where a cut network is waited for.
@@ -36,6 +36,8 @@ const DISPLAY_MG: f64 = 4.0 * std::f64::consts::SQRT_2 * 0.5 + 0.5;
 /// A dose that nobody can record ends by itself after 12 s (`RECORD` of the lane); with the way back
 /// of the spoon, within so many milliseconds.
 const ENDS_WITHIN_MS: u64 = 20_000;
+/// Longest dose: near its limits each reading is waited for up to 20 s, as the balance wanders.
+const LONGEST: Duration = Duration::from_secs(400);
 /// Shakes that may be recorded after a kill: one in progress, and one that had just ended.
 const LAST_SHAKES: usize = 2;
 
@@ -159,9 +161,11 @@ async fn kill_all(kills: impl Iterator<Item = u64>) -> Tally {
         let later_ms = match kill % 3 {
             0 => drawn % 8000,
             _ => {
+                let begun = Instant::now();
                 while laboratory.vial_mg() - before_mg < share * TARGET_MG
                     && !service.has_ended(&id).await
                 {
+                    assert!(begun.elapsed() < LONGEST, "fault {kill}: the dose does not end");
                     tokio::time::sleep(Duration::from_millis(15)).await;
                 }
                 drawn / 1000 % 200

@@ -65,7 +65,8 @@ impl Service {
         let url = said["url"].as_str().unwrap().to_owned();
         let token = token.or_else(|| said["token"].as_str().map(str::to_owned)).expect("a token");
         flip_testing::speak_tls();
-        Self { process, url, client: reqwest::Client::new(), token }
+        let client = reqwest::Client::builder().timeout(PATIENCE).build().unwrap();
+        Self { process, url, client, token }
     }
 
     /// SIGKILL: no destructor, no final output.
