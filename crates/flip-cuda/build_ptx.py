@@ -19,6 +19,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 COMMON = ["-ptx", "-arch=compute_80", "--std=c++17", "-O3"]
 BUILDS = {
     "spoons.ptx": ["-ftz=true", "spoons.cu"],
+    "spoons_extended.ptx": ["-ftz=true", "-DFLIP_EXTENDED", "spoons.cu"],
     "heaps.ptx": ["-ftz=true", "-DFLIP_HEAPS", "spoons.cu"],
     "spoons_exact.ptx": ["-fmad=false", "-DFLIP_EXACT", "spoons.cu"],
     # Fused where the source says so, as on a processor.

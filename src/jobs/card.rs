@@ -18,7 +18,7 @@ use flip_learn::train::evaluate::Dose;
 use flip_sim::batch::heaps::{Wanted, pour};
 use flip_sim::batch::{Engine, Failed, Place, Several, side_by_side};
 use flip_sim::dispense;
-use flip_sim::mechanisms::Extensions;
+use flip_sim::mechanisms::OUTSIDE;
 use flip_sim::repose::{Refusal, Repose};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -82,15 +82,14 @@ pub fn can_compute<'a>(
     if device.is_cpu() {
         return Ok(());
     }
-    let mut mechanisms = named(spoon.extensions);
-    mechanisms.extend(
-        patches
-            .flat_map(|patch| &patch.amplitudes)
-            .filter(|(_, amplitude)| **amplitude != 0.0)
-            .map(|(name, _)| name.clone()),
-    );
-    if !mechanisms.is_empty() {
-        let names: Vec<String> = mechanisms.into_iter().map(|name| format!("`{name}`")).collect();
+    let patched = patches
+        .flat_map(|patch| &patch.amplitudes)
+        .filter(|(name, amplitude)| **amplitude != 0.0 && !OUTSIDE.contains(&name.as_str()))
+        .map(|(name, _)| name.as_str());
+    let only_inside: BTreeSet<&str> =
+        spoon.extensions.only_inside().into_iter().chain(patched).collect();
+    if !only_inside.is_empty() {
+        let names: Vec<String> = only_inside.iter().map(|name| format!("`{name}`")).collect();
         return Err(cannot(&format!("the mechanisms {}", names.join(", "))));
     }
     has_room(spoon.particles, "on a spoon")
@@ -115,11 +114,6 @@ fn has_room(particles: u32, place: &str) -> Result<(), FieldError> {
 fn cannot(what: &str) -> FieldError {
     let advice = format!("`cuda` cannot compute {what}: leave the field out to compute on the CPU");
     FieldError::new("device", advice)
-}
-
-fn named(mut extensions: Extensions) -> BTreeSet<String> {
-    let all = extensions.amplitudes().into_iter();
-    all.filter(|(_, amplitude, _)| **amplitude != 0.0).map(|(name, ..)| name.to_owned()).collect()
 }
 
 /// The engine of a job on this device; none for the processor, which the job's functions compute on.

@@ -8,6 +8,7 @@ use flip_sim::balance;
 use flip_sim::batch::heaps::{self, Heaps};
 use flip_sim::batch::{Batch, Cores, Motion, Stand};
 use flip_sim::dispense::Dispenser;
+use flip_sim::mechanisms::Extensions;
 use flip_sim::repose::{self, repose};
 
 /// Small spoons of 4 mg, poured by two controllers from three beds each.
@@ -200,12 +201,16 @@ fn what_a_card_lacks_is_refused_by_its_name_and_what_it_has_is_not() {
     assert_eq!(check(&usual, &[]), Ok(()));
     let drier = Patch { parameters: [("cohesion".to_owned(), -0.1)].into(), ..Patch::default() };
     assert_eq!(check(&usual, &[drier, patch(&[("humidity", 0.0)])]), Ok(()));
-    let extensions = Extensions { rotation: 1.0, ..Extensions::default() };
+    let extensions = Extensions { rotation: 1.0, charge: 0.5, ..Extensions::default() };
+    let turning = dispense::Settings { extensions, ..usual };
+    let film = patch(&[("spoon_adhesion", 0.4), ("hold_up", 0.1), ("rolling_friction", 0.2)]);
+    assert_eq!(check(&turning, &[film]), Ok(()));
+    let extensions = Extensions { air: 1.0, ..extensions };
     let refused =
         check(&dispense::Settings { extensions, ..usual }, &[patch(&[("humidity", 0.4)])]);
     let refused = refused.unwrap_err();
     assert_eq!(refused.field, "device");
-    assert!(refused.message.contains("`humidity`, `rotation`"), "{}", refused.message);
+    assert!(refused.message.contains("mechanisms `air`, `humidity`:"), "{}", refused.message);
     let wet = dispense::Settings { extensions, particles: 4000, ..usual };
     assert_eq!(on(Device::Cpu, &wet, &[patch(&[("humidity", 0.4)])]), Ok(()));
     let many = dispense::Settings { particles: 4000, ..usual };

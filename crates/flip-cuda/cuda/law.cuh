@@ -10,6 +10,14 @@ constexpr bool HEAPS = true;
 constexpr bool HEAPS = false;
 #endif
 
+// The base simulator, or grains that turn, with the mechanisms of `Mechanisms`.
+#if defined(FLIP_EXTENDED)
+constexpr bool EXTENDED = true;
+#else
+constexpr bool EXTENDED = false;
+#endif
+static_assert(!(HEAPS && EXTENDED), "heaps have no mechanisms yet");
+
 // One kind of contact; shares are of one substep and one side.
 struct Strengths {
     // Of an overlap and of an approach velocity. The dampings of pairs are multiplied by the drag,
@@ -20,6 +28,19 @@ struct Strengths {
     float attraction, inverse_ramp;        // of touching bodies; 1 / (reach - onset)
     float onset, reach;                    // gaps at which touch begins and attraction ends
 };
+
+#if defined(FLIP_EXTENDED)
+// Mechanisms beyond the base simulator, for grains of one size: the text of flip-sim's mechanisms. One
+// of strength 0 does nothing.
+struct Mechanisms {
+    float ease;                            // change of spin per torque over mass
+    float rolling;                         // largest rolling torque over push and radius
+    float stiffness, damping;              // shares of a rolling stretch, and of a turn
+    float film, cling;                     // pull of the spoon, and more of it for a grain that clings
+    float film_ramp;                       // 1 / reach of that pull
+    float charge, charge_reach;            // pull of a wall at contact, and the gap at which it ends
+};
+#endif
 
 // A powder, its spoon and the grid over it; as `Law` in src/layout.rs.
 struct Law {
@@ -34,6 +55,9 @@ struct Law {
     float cell;                            // side of its cells
     int size[3];                           // cells along each axis
     float plate;                           // radius of a heap's base
+#if defined(FLIP_EXTENDED)
+    Mechanisms more;
+#endif
 };
 
 constexpr float RADIUS = 0.5f;
@@ -149,5 +173,54 @@ FN Vec unpack(uint2 a) {
     return vec(unpack_one(a.x), unpack_one(a.x >> 21 | a.y << 11), unpack_one(a.y >> 10));
 }
 
-// The anchor as the other grain of the pair sees it.
-FN uint2 reversed(uint2 a) { return pack(scale(unpack(a), -1.0f)); }
+constexpr Bits TOUCHES = 0x80000000;       // in the second word of an anchor: the pair touches now
+
+// What a listed pair remembers: where it stuck, and whether it touches now. Turning surfaces carry the
+// anchor along, by less than the fixed point resolves, so that with them it is a float.
+#if defined(FLIP_EXTENDED)
+typedef float4 Anchor;
+FN Anchor stuck_at(Vec a) { return make_float4(a.x, a.y, a.z, 1.0f); }
+FN Vec place_of(Anchor a) { return vec(a.x, a.y, a.z); }
+FN bool touches(Anchor a) { return a.w != 0.0f; }
+FN void let_go(Anchor& to, Anchor) { to.w = 0.0f; }
+FN Anchor reversed(Anchor a) { return stuck_at(scale(place_of(a), -1.0f)); }
+#else
+typedef uint2 Anchor;
+FN Anchor stuck_at(Vec a) {
+    uint2 packed = pack(a);
+    return make_uint2(packed.x, packed.y | TOUCHES);
+}
+FN Vec place_of(Anchor a) { return unpack(a); }
+FN bool touches(Anchor a) { return (a.y & TOUCHES) != 0; }
+FN void let_go(Anchor& to, Anchor was) { to.y = was.y & ~TOUCHES; }
+FN Anchor reversed(Anchor a) { return pack(scale(unpack(a), -1.0f)); }
+#endif
+
+#if defined(FLIP_EXTENDED)
+// What resists the turning of two bodies in contact.
+struct Rolled {
+    Vec torque;  // of the first body, to be subtracted
+    Vec stretch;
+};
+
+// An elastic spring with a slider, as friction. `side` is 1 between grains, and 2 at a wall, which
+// does not yield.
+FN Rolled resist(const Mechanisms& m, Vec stretch, Vec turning, float side, float push) {
+    if (m.rolling == 0.0f) return Rolled{vec(0.0f, 0.0f, 0.0f), vec(0.0f, 0.0f, 0.0f)};
+    Vec s = add(stretch, turning);
+    float r2 = RADIUS * RADIUS * side, k = m.stiffness * r2, c = m.damping * r2;
+    Vec torque = add(scale(s, k), scale(turning, c));
+    float limit = m.rolling * RADIUS * push, size2 = dot(torque, torque);
+    if (!(limit * limit < size2)) return Rolled{torque, s};
+    torque = scale(torque, limit * inverse_root(size2));
+    return Rolled{torque, scale(torque, 1.0f / k)};
+}
+
+// Pulls of the spoon beside its adhesion.
+FN float attract_more(float gap, float clings, const Mechanisms& m) {
+    float above = larger(0.0f, gap);
+    float film = (m.film + m.cling * clings) * larger(0.0f, 1.0f - above * m.film_ramp);
+    float share = over(RADIUS, RADIUS + above);
+    return film + (gap < m.charge_reach ? m.charge * share * share : 0.0f);
+}
+#endif

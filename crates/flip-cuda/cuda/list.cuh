@@ -205,10 +205,10 @@ FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& n
     block.barrier();
     bool crowded = false;
     for (int t = block.thread; t < contacts; t += block.threads) {
-        uint2 anchor = was.anchors[t];
+        Anchor anchor = was.anchors[t];
         Bits pair = was.touching[t];
         int a = work.present[pair & 0xffff], b = work.present[pair >> 16];
-        if ((anchor.y & TOUCHES) == 0 || a == NOBODY || b == NOBODY) continue;
+        if (!touches(anchor) || a == NOBODY || b == NOBODY) continue;
         int owner = least(a, b), k = take_ticket(&carried_count(work)[owner], 1);
         if (k < CARRIED) {
             *carried_place(work, owner, k) = Place(most(a, b));
@@ -217,8 +217,14 @@ FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& n
         }
         int place = take_ticket(&work.tally[TOUCHING], 1);
         now.touching[place] = pair_of(a, b);
+        // As the other grain of the pair sees it.
         if (a > b) anchor = reversed(anchor);
+#if defined(FLIP_EXTENDED)
+        now.anchors[place] = anchor;
+        store3(now.rolls, place, scale(load3(was.rolls, t), a > b ? -1.0f : 1.0f));
+#else
         now.anchors[place] = make_uint2(anchor.x, anchor.y | TOUCHES);
+#endif
     }
     return block.any(crowded) && note_elsewhere(block, work, now, grains);
 }
@@ -333,6 +339,11 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
         Bits touches = was.wall_touches[old];
         now.wall_touches[i] = touches;
         if (touches != 0) now.wall[i] = was.wall[old];
+#if defined(FLIP_EXTENDED)
+        now.stretch[i] = was.stretch[old];
+        // The room of the torques, of which there are none between substeps.
+        store3(reinterpret_cast<float*>(work.torque), i, load3(work.spin, old));
+#endif
         set_path(law, spoon, i, first3(work.p[i]), v);
     }
     block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2)));
@@ -357,8 +368,14 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     for (int i = block.thread; i < grains; i += block.threads) {
         store3(work.x, i, first3(work.p[i]));
         store3(work.v, i, first3(velocities(work)[i]));
+#if defined(FLIP_EXTENDED)
+        store3(work.spin, i, load3(reinterpret_cast<const float*>(work.torque), i));
+#endif
     }
     block.barrier();
+#if defined(FLIP_EXTENDED)
+    for (int k = block.thread; k < 3 * GRAINS; k += block.threads) work.torque[k] = 0;
+#endif
     for (int k = block.thread; k < 4 * GRAINS; k += block.threads) work.c[k] = 0;
     contacts = work.tally[TOUCHING];
     if (block.thread == 0) {

@@ -32,6 +32,9 @@ FN Vec vec(float x, float y, float z) { return Vec{x, y, z}; }
 FN Vec add(Vec a, Vec b) { return vec(a.x + b.x, a.y + b.y, a.z + b.z); }
 FN Vec sub(Vec a, Vec b) { return vec(a.x - b.x, a.y - b.y, a.z - b.z); }
 FN Vec scale(Vec a, float k) { return vec(a.x * k, a.y * k, a.z * k); }
+FN Vec cross(Vec a, Vec b) {
+    return vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+}
 FN float dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 #if defined(__CUDACC__)
 FN float larger(float a, float b) { return fmaxf(a, b); }

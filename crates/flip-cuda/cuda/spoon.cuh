@@ -20,31 +20,54 @@ FN void give(const Work& work, int i, const Sum& sum) {
     if (sum.contacts != 0) take_ticket(&work.c[3 * GRAINS + i], sum.contacts);
 }
 
-// A pair's correction, for both: what one grain gets the other one loses, to the last bit.
-FN void exchange(const Work& work, int i, int j, Vec correction, bool touches) {
-    Sum sum = in_units(correction, touches);
-    give(work, i, sum);
-    give(work, j, Sum{-sum.x, -sum.y, -sum.z, sum.contacts});
+
+#if defined(FLIP_EXTENDED)
+// Adds to a grain's torques.
+FN void turn(const Work& work, int i, Vec torque) {
+    Sum sum = in_units(torque, false);
+    take_ticket(&work.torque[i], sum.x);
+    take_ticket(&work.torque[GRAINS + i], sum.y);
+    take_ticket(&work.torque[2 * GRAINS + i], sum.z);
 }
+#endif
 
 // What does not change within a substep.
 struct Pairs {
     Strengths c;
     float near2, onset;            // squared distance of any force; distance at which touch begins
     bool attract;
+#if defined(FLIP_EXTENDED)
+    const Law* whole;
+#endif
 };
 
-// The correction of a pair's first grain.
+// The correction of a pair's first grain, and where grains turn, the torque over mass of both.
 struct Pull {
     Vec correction;
     bool acts, touches;
+#if defined(FLIP_EXTENDED)
+    Vec torque, other_torque;
+#endif
 };
+
+// A pair's correction, for both: what one grain gets the other one loses, to the last bit.
+FN void exchange(const Work& work, int i, int j, const Pull& pull) {
+    Sum sum = in_units(pull.correction, pull.touches);
+    give(work, i, sum);
+    give(work, j, Sum{-sum.x, -sum.y, -sum.z, sum.contacts});
+#if defined(FLIP_EXTENDED)
+    if (pull.touches) {
+        turn(work, i, pull.torque);
+        turn(work, j, pull.other_torque);
+    }
+#endif
+}
 
 FN Pull idle() { return Pull{vec(0.0f, 0.0f, 0.0f), false, false}; }
 
 // A pair that touched before, or touches now for the first time; its anchor is kept.
-FN Pull contact(const Work& work, const Pairs& law, int i, int j, bool touched, uint2 anchor,
-                uint2* keep) {
+FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j, bool touched,
+                Anchor anchor, int place) {
     const Strengths& c = law.c;
     float4 mine = work.p[i], other = work.p[j];
     Vec offset = sub(first3(mine), first3(other));
@@ -57,15 +80,31 @@ FN Pull contact(const Work& work, const Pairs& law, int i, int j, bool touched, 
     float along = 0.0f - attract(gap, c);
     if (!(gap < 0.0f)) return Pull{scale(normal, along), law.attract, false};
     float share = mine.w * other.w;
+#if defined(FLIP_EXTENDED)
+    velocity = scale(velocity, law.whole->drag);
+#endif
     float push = separate(gap, dot(velocity, normal), c.normal, c.normal_damping * share);
-    Vec stuck = touched ? unpack(anchor) : offset;
+    Vec stuck = touched ? place_of(anchor) : offset;
+#if defined(FLIP_EXTENDED)
+    Vec spin = load3(work.spin, i), other_spin = load3(work.spin, j);
+    float lever = 0.5f * distance2 * inverse;
+    Vec carried = cross(normal, scale(add(spin, other_spin), lever));
+    velocity = add(velocity, carried);
+    stuck = sub(stuck, carried);
+#endif
     Held held = stick(offset, stuck, velocity, normal, c.tangential_damping * share,
                       c.friction * push, c);
-    if (!touched || held.slips) {
-        uint2 packed = pack(held.anchor);
-        *keep = make_uint2(packed.x, packed.y | TOUCHES);
-    }
-    return Pull{sub(scale(normal, along + push), held.correction), true, true};
+    if (EXTENDED || !touched || held.slips) memory.anchors[place] = stuck_at(held.anchor);
+    Pull pull = Pull{sub(scale(normal, along + push), held.correction), true, true};
+#if defined(FLIP_EXTENDED)
+    Vec stretch = touched ? load3(memory.rolls, place) : vec(0.0f, 0.0f, 0.0f);
+    Rolled rolled = resist(law.whole->more, stretch, sub(spin, other_spin), 1.0f, push);
+    store3(memory.rolls, place, rolled.stretch);
+    Vec arm = scale(cross(normal, held.correction), lever);
+    pull.torque = sub(arm, rolled.torque);
+    pull.other_torque = add(arm, rolled.torque);
+#endif
+    return pull;
 }
 
 // A pair without contact: its attraction, or that a contact begins.
@@ -89,14 +128,14 @@ FN void add_contacts(const Block& block, const Work& work, const Pairs& law, Mem
         int i = int(ahead & 0xffff), j = int(ahead >> 16);
         Pull pull = idle();
         if (t < contacts) {
-            uint2 anchor = memory.anchors[t];
+            Anchor anchor = memory.anchors[t];
             if (t + block.threads < contacts) ahead = memory.touching[t + block.threads];
-            bool touched = (anchor.y & TOUCHES) != 0;
-            pull = contact(work, law, i, j, touched, anchor, &memory.anchors[t]);
-            if (touched && !pull.touches) memory.anchors[t].y = anchor.y & ~TOUCHES;
+            bool touched = touches(anchor);
+            pull = contact(work, law, memory, i, j, touched, anchor, t);
+            if (touched && !pull.touches) let_go(memory.anchors[t], anchor);
         }
         meet();
-        if (pull.acts) exchange(work, i, j, pull.correction, pull.touches);
+        if (pull.acts) exchange(work, i, j, pull);
         meet();
     }
 }
@@ -119,29 +158,50 @@ FN void add_near(const Block& block, const Work& work, const Pairs& law, Memory&
             if (place < CONTACTS) {
                 memory.near[t] = NO_PAIR;
                 memory.touching[place] = pair;
-                pull = contact(work, law, i, j, false, make_uint2(0, 0), &memory.anchors[place]);
+                pull = contact(work, law, memory, i, j, false, Anchor{}, place);
             }
         }
         meet();
-        if (pull.acts) exchange(work, i, j, pull.correction, pull.touches);
+        if (pull.acts) exchange(work, i, j, pull);
         meet();
     }
 }
 
 // A grain's contact with the spoon.
-FN Pull wall_contact(const Law& law, Memory& memory, int i, float4 p, Vec u, bool touched) {
+FN Pull wall_contact(const Work& work, const Law& law, Memory& memory, int i, float4 p, Vec u,
+                     bool touched) {
     const Strengths& c = law.wall;
     Touch near = nearest(law, first3(p));
+#if defined(FLIP_EXTENDED)
+    if (!(near.gap < larger(c.reach, law.more.charge_reach))) return idle();
+#else
     if (!(near.gap < c.reach)) return idle();
+#endif
     float gap = near.gap - c.onset;
     float along = 0.0f - attract(gap, c);
+#if defined(FLIP_EXTENDED)
+    float4 rolls = memory.stretch[i];
+    along -= attract_more(gap, rolls.w, law.more);
+#endif
     if (!(gap < 0.0f)) return Pull{scale(near.normal, along), true, false};
     float push = separate(gap, dot(u, near.normal), c.normal, c.normal_damping * p.w);
     Vec anchor = touched ? first3(memory.wall[i]) : first3(p);
+#if defined(FLIP_EXTENDED)
+    Vec spin = load3(work.spin, i), carried = cross(near.normal, scale(spin, RADIUS));
+    u = add(u, carried);
+    anchor = sub(anchor, carried);
+#endif
     Held held = stick(first3(p), anchor, u, near.normal, c.tangential_damping * p.w,
                       c.friction * push, c);
-    if (!touched || held.slips) memory.wall[i] = with(held.anchor, 0.0f);
-    return Pull{sub(scale(near.normal, along + push), held.correction), true, true};
+    if (EXTENDED || !touched || held.slips) memory.wall[i] = with(held.anchor, 0.0f);
+    Pull pull = Pull{sub(scale(near.normal, along + push), held.correction), true, true};
+#if defined(FLIP_EXTENDED)
+    Vec stretch = touched ? first3(rolls) : vec(0.0f, 0.0f, 0.0f);
+    Rolled rolled = resist(law.more, stretch, spin, 2.0f, push);
+    memory.stretch[i] = with(rolled.stretch, rolls.w);
+    pull.torque = sub(scale(cross(near.normal, held.correction), RADIUS), rolled.torque);
+#endif
+    return pull;
 }
 
 FN Vec coasting(Vec v, const Law& law, float2 body) {
@@ -157,11 +217,14 @@ FN void add_walls(const Block& block, const Work& work, const Law& law, Memory& 
         if (i < grains && work.p[i].x < 0.5f * FAR) {
             bool touched = memory.wall_touches[i] != 0;
             Vec u = coasting(load3(work.v, i), law, body);
-            pull = wall_contact(law, memory, i, work.p[i], u, touched);
+            pull = wall_contact(work, law, memory, i, work.p[i], u, touched);
             if (pull.touches != touched) memory.wall_touches[i] = pull.touches;
         }
         meet();
         if (pull.acts) give(work, i, in_units(pull.correction, pull.touches));
+#if defined(FLIP_EXTENDED)
+        if (pull.touches) turn(work, i, pull.torque);
+#endif
         meet();
     }
 }
@@ -175,6 +238,9 @@ FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spo
         Pairs{law.grain, reach * reach, 1.0f + law.grain.onset, law.grain.attraction > 0.0f};
     // Without attraction nothing happens beyond touch.
     if (!pairs.attract) pairs.near2 = pairs.onset * pairs.onset;
+#if defined(FLIP_EXTENDED)
+    pairs.whole = &law;
+#endif
     add_contacts(block, work, pairs, memory, contacts);
     add_near(block, work, pairs, memory, least(work.tally[NEAR], PAIRS));
     add_walls(block, work, law, memory, grains, body);
@@ -244,6 +310,15 @@ FN int4 take_sum(const Work& work, int i) {
     return c;
 }
 
+#if defined(FLIP_EXTENDED)
+// A grain's spin after its torques, whose sums begin anew.
+FN void spin_up(const Work& work, const Law& law, int i) {
+    int4 sum = make_int4(work.torque[i], work.torque[GRAINS + i], work.torque[2 * GRAINS + i], 0);
+    for (int k = 0; k < 3; k++) work.torque[k * GRAINS + i] = 0;
+    store3(work.spin, i, add(load3(work.spin, i), scale(correction_of(sum), law.more.ease)));
+}
+#endif
+
 // Moves every grain and, if asked to, takes out those that left. Returns the largest squared speed of
 // this thread's grains.
 FN float collect(const Block& block, const Work& work, const Law& law, int grains, float2 body,
@@ -255,6 +330,9 @@ FN float collect(const Block& block, const Work& work, const Law& law, int grain
         int4 c = take_sum(work, i);
         Vec v = add(coasting(load3(work.v, i), law, body), correction_of(c));
         x = add(x, v);
+#if defined(FLIP_EXTENDED)
+        spin_up(work, law, i);
+#endif
         work.p[i].w = share_of(float(c.w));
         float speed2 = dot(v, v);
         if (check.collects && has_left(law, x)) {
@@ -283,6 +361,9 @@ FN bool move(const Block& block, const Work& work, const Law& law, const Spoon& 
         int4 c = take_sum(work, i);
         Vec v = add(coasting(load3(work.v, i), law, body), correction_of(c));
         x = add(x, v);
+#if defined(FLIP_EXTENDED)
+        spin_up(work, law, i);
+#endif
         store3(work.x, i, x);
         store3(work.v, i, v);
         strayed |= predict_one(work, law, spoon, i, x, v, share_of(float(c.w)), next, time);
@@ -413,6 +494,9 @@ FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spo
         store3(work.x, i, first3(spoon.x[i]));
         store3(work.v, i, first3(spoon.v[i]));
         work.p[i].w = spoon.x[i].w;
+#if defined(FLIP_EXTENDED)
+        store3(work.spin, i, first3(spoon.spin[i]));
+#endif
     }
     int rebuilds = spoon.head.rebuilds;
     if (block.thread == 0) {
@@ -426,6 +510,9 @@ FN void work_on(const Block& block, const Work& work, const Law& law, Spoon& spo
     for (int i = block.thread; i < run.grains; i += block.threads) {
         spoon.x[i] = with(load3(work.x, i), work.p[i].w);
         spoon.v[i] = with(load3(work.v, i), 0.0f);
+#if defined(FLIP_EXTENDED)
+        spoon.spin[i] = with(load3(work.spin, i), 0.0f);
+#endif
     }
     if (block.thread == 0) {
         Head& head = spoon.head;

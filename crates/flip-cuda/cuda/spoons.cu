@@ -1,8 +1,10 @@
 // The kernels: a block for each job, in the order given. `flip_spoons` needs 162 KB of shared memory,
-// `flip_spoons_small` 87 KB and keeps the rest in a room of its own in the card's memory.
+// 223 KB where grains turn, `flip_spoons_small` 87 KB; it keeps the rest in a room of its own in the
+// card's memory.
 #include "spoon.cuh"
 
-constexpr int ROOM = 7 * 4 * GRAINS;  // bytes of `c` and `x`
+// Bytes of `c` and `x`, and of `spin` and `torque`.
+constexpr int ROOM = (EXTENDED ? 13 : 7) * 4 * GRAINS;
 
 template <bool SMALL>
 FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
@@ -31,10 +33,19 @@ FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
         char* mine = room + size_t(ROOM) * blockIdx.x;
         work.c = reinterpret_cast<int*>(mine);
         work.x = reinterpret_cast<float*>(mine + 4 * 4 * GRAINS);
+#if defined(FLIP_EXTENDED)
+        work.spin = work.x + 3 * GRAINS;
+        work.torque = reinterpret_cast<int*>(work.spin + 3 * GRAINS);
+#endif
     } else {
         work.c = reinterpret_cast<int*>(rest);
         work.x = rest + 4 * GRAINS;
         rest += 7 * GRAINS;
+#if defined(FLIP_EXTENDED)
+        work.spin = rest;
+        work.torque = reinterpret_cast<int*>(rest + 3 * GRAINS);
+        rest += 6 * GRAINS;
+#endif
     }
     work.present = reinterpret_cast<Place*>(rest);
     work.former = work.present + GRAINS;

@@ -6,7 +6,6 @@ constexpr int GRAINS = 2560;       // room for grains
 constexpr int CONTACTS = 16384;    // room for pairs that touch
 constexpr int PAIRS = 16384;       // room for other pairs
 constexpr Bits NO_PAIR = 0xffffffff;
-constexpr Bits TOUCHES = 0x80000000;  // in the second word of an anchor: the pair touches now
 constexpr int CELLS = 4096;        // room for cells of the grid
 constexpr Place NOBODY = 0xffff;
 constexpr float FAR = 1.0e6f;      // coordinate of a grain that has left
@@ -30,11 +29,17 @@ struct Head {
 // other's.
 struct Memory {
     float4 wall[GRAINS];           // where its contact with the spoon stuck
+#if defined(FLIP_EXTENDED)
+    float4 stretch[GRAINS];        // of its rolling there; 1 for a grain that clings
+#endif
     unsigned id[GRAINS];
     Bits wall_touches[GRAINS];     // whether it touches now
     // Every pair is listed once: the grain that comes first in the arrays, and the other one << 16.
     Bits touching[CONTACTS];       // pairs that touch, and some that no longer do
-    uint2 anchors[CONTACTS];       // of those
+    Anchor anchors[CONTACTS];      // of those
+#if defined(FLIP_EXTENDED)
+    float rolls[3 * CONTACTS];     // of those: the stretch of their rolling
+#endif
     Bits near[PAIRS];              // pairs that may come to touch before the next list, or NO_PAIR
 };
 
@@ -42,6 +47,9 @@ struct Spoon {
     Head head;
     float4 x[GRAINS];              // centre; share of the damping
     float4 v[GRAINS];
+#if defined(FLIP_EXTENDED)
+    float4 spin[GRAINS];           // radians per substep
+#endif
     Memory memory[2];
     Bits path[3][GRAINS];          // each grain's since the list was built: see list.cuh
 };
@@ -103,6 +111,10 @@ struct Work {
     Place* present;                // new place of each old place
     Place* former;                 // old place of each new place
     int* tally;                    // counters shared by the block
+#if defined(FLIP_EXTENDED)
+    float* spin;                   // three numbers each
+    int* torque;                   // sum of torques over mass, fixed point: all x, all y, all z
+#endif
 };
 
 // Counters of a block.

@@ -46,6 +46,12 @@ int main(int count, char** arguments) {
     int lost = 0;
     Work work = {p.data(), &sums[0].x, x.data(), v.data(), first.data(), present.data(),
                  former.data(), tally.data()};
+#if defined(FLIP_EXTENDED)
+    std::vector<float> spin(3 * GRAINS);
+    std::vector<int> torque(3 * GRAINS);
+    work.spin = spin.data();
+    work.torque = torque.data();
+#endif
     for (const Job& job : jobs) {
         work_on(Block{0, 1}, work, laws[job.law], spoons[job.spoon], job, parts.data(),
                 bodies.data(), added.data(), rests.data(), Losses{&lost, departed.data()},

@@ -1,6 +1,6 @@
 //! Settled spoonfuls, from which spoons on a card are filled.
 
-use crate::layout;
+use crate::layout::{self, Kernel};
 use flip_sim::dispense::Dispenser;
 use flip_sim::dispense::outside::Spoon;
 
@@ -20,10 +20,8 @@ pub struct Bed {
 /// Why a spoon cannot go onto a card.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Refused {
-    /// The kernels know the base simulator only.
-    #[error(
-        "the powder has mechanisms beyond the base simulator, which a card cannot compute; use the CPU"
-    )]
+    /// The kernels know the base simulator and [`flip_sim::mechanisms::OUTSIDE`].
+    #[error("the powder has mechanisms that a card cannot compute; use the CPU")]
     Mechanisms,
     /// Too many grains, or too many contacts of one grain.
     #[error(
@@ -41,7 +39,7 @@ impl Bed {
         let shape = dispenser.spoon().ok_or(Refused::Mechanisms)?;
         let state = dispenser.state();
         let grains = state.grains.len();
-        let image = layout::image(&state).ok_or(Refused::TooMany(grains))?;
+        let image = layout::image(Kernel::of(&shape), &state).ok_or(Refused::TooMany(grains))?;
         Ok(Self {
             law: layout::law(&shape),
             shape,
@@ -49,6 +47,10 @@ impl Bed {
             grains: grains as u32,
             pitch_deg: dispenser.pitch_deg(),
         })
+    }
+
+    pub(crate) fn kernel(&self) -> Kernel {
+        Kernel::of(&self.shape)
     }
 
     /// Grains in it.

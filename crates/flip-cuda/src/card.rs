@@ -1,7 +1,7 @@
 //! A graphics card, opened with its kernel.
 
 use crate::found::{Found, find, lacking};
-use crate::layout;
+use crate::layout::{self, Kernel};
 use crate::orders::{Orders, Raw};
 use crate::{Refused, Result};
 use cudarc::driver::sys::{CUdevice_attribute, CUevent_flags, CUfunction_attribute};
@@ -16,6 +16,8 @@ use std::time::Instant;
 
 /// Built by `build_ptx.py` from the sources in `cuda/`.
 const KERNELS: &str = include_str!("../ptx/spoons.ptx");
+/// The same for grains that turn.
+const EXTENDED: &str = include_str!("../ptx/spoons_extended.ptx");
 /// The same for heaps.
 const HEAPS: &str = include_str!("../ptx/heaps.ptx");
 /// Those for spoons without fused multiplication and addition.
@@ -106,6 +108,9 @@ pub struct Card {
     kernel: CudaFunction,
     found: Found,
     multiprocessors: usize,
+    /// What `kernel` computes.
+    layout: Kernel,
+    /// Asked for, or needed for the base simulator.
     is_small: bool,
     threads: u32,
 }
@@ -148,12 +153,13 @@ impl Card {
         let context = CudaContext::new(number).map_err(bad)?;
         let is_small = small || !found.is_large;
         let module = context.load_module(Ptx::from_src(kernels)).map_err(bad)?;
-        let kernel = function(&module, is_small)?;
+        let layout = Kernel::Base;
+        let kernel = function(&module, layout, is_small)?;
         let multiprocessors =
             context.attribute(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT)?;
         let multiprocessors = multiprocessors as usize;
         let stream = context.new_stream()?;
-        Ok(Self { stream, kernel, found, multiprocessors, is_small, threads: THREADS })
+        Ok(Self { stream, kernel, found, multiprocessors, layout, is_small, threads: THREADS })
     }
 
     /// The card's name.
@@ -193,19 +199,36 @@ impl Card {
     pub(crate) fn for_heaps(&self) -> Result<Self> {
         let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
         let module = self.stream.context().load_module(Ptx::from_src(HEAPS)).map_err(bad)?;
-        Ok(Self { kernel: function(&module, self.is_small)?, ..self.clone() })
+        Ok(Self { kernel: function(&module, self.layout, self.is_small)?, ..self.clone() })
+    }
+
+    /// The same card with this kernel for spoons, compiled for it.
+    pub(crate) fn for_spoons(&self, layout: Kernel) -> Result<Self> {
+        if layout == self.layout {
+            return Ok(self.clone());
+        }
+        let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
+        let module = self.stream.context().load_module(Ptx::from_src(EXTENDED)).map_err(bad)?;
+        let is_small = self.is_small || !self.found.is_larger;
+        let kernel = function(&module, layout, is_small)?;
+        Ok(Self { kernel, layout, is_small, ..self.clone() })
+    }
+
+    /// What it computes.
+    pub(crate) fn layout(&self) -> Kernel {
+        self.layout
     }
 
     /// The grains at this place of a table of spoons or heaps.
     pub(crate) fn state(&self, all: &CudaSlice<u32>, place: usize) -> Result<State> {
-        let start = place * layout::SPOON;
-        let mut words = self.stream.clone_dtoh(&all.slice(start..start + layout::MOTION))?;
+        let start = place * self.layout.spoon();
+        let mut words = self.stream.clone_dtoh(&all.slice(start..start + self.layout.motion()))?;
         self.stream.synchronize()?;
-        let memory = layout::present_memory(&words);
+        let memory = layout::present_memory(self.layout, &words);
         let memory = start + memory.start..start + memory.end;
         words.extend(self.stream.clone_dtoh(&all.slice(memory))?);
         self.stream.synchronize()?;
-        Ok(layout::state(&words))
+        Ok(layout::state(self.layout, &words))
     }
 
     /// Carries out the orders on these spoons, or heaps, and waits for the end.
@@ -228,7 +251,7 @@ impl Card {
         let mut rests = stream.alloc_zeros::<u32>((orders.parts.len() / layout::PART).max(1))?;
         let mut lost = stream.alloc_zeros::<u32>(1)?;
         let mut outcomes = stream.alloc_zeros::<u32>(jobs * layout::OUTCOME)?;
-        let room = if self.is_small { jobs * layout::ROOM } else { 16 };
+        let room = if self.is_small { jobs * self.layout.room() } else { 16 };
         #[allow(unsafe_code)]
         // SAFETY: the kernel writes what it reads of both, and only what it wrote is copied back.
         let (mut departed, mut room) = unsafe {
@@ -237,7 +260,7 @@ impl Card {
                 stream.alloc::<u8>(room)?,
             )
         };
-        let shared = if self.is_small { layout::SHARED_SMALL } else { layout::SHARED };
+        let shared = shared(self.layout, self.is_small);
         let config = LaunchConfig {
             grid_dim: (jobs as u32, 1, 1),
             block_dim: (self.threads, 1, 1),
@@ -277,15 +300,18 @@ impl Card {
 }
 
 /// A module's kernel, with the shared memory that it needs.
-fn function(module: &Arc<CudaModule>, is_small: bool) -> Result<CudaFunction> {
+fn function(module: &Arc<CudaModule>, layout: Kernel, is_small: bool) -> Result<CudaFunction> {
     let kernel =
         module.load_function(if is_small { "flip_spoons_small" } else { "flip_spoons" })?;
-    let shared = if is_small { layout::SHARED_SMALL } else { layout::SHARED };
     kernel.set_attribute(
         CUfunction_attribute::CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES,
-        shared as i32,
+        shared(layout, is_small) as i32,
     )?;
     Ok(kernel)
+}
+
+fn shared(layout: Kernel, is_small: bool) -> usize {
+    if is_small { layout::SHARED_SMALL } else { layout.shared() }
 }
 
 /// Waits for what the stream has been given, and leaves the core to others meanwhile: a card may take

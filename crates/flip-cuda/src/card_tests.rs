@@ -1,9 +1,10 @@
 //! What only a card can show. Each test prints why it is skipped where there is none.
 
 use crate::orders::{self, Task};
-use crate::twin::{self, tests::small};
+use crate::twin::{self, tests::small, tests::turning};
 use crate::{Bed, Card, CardError, Poured, Result, Spoons};
 use flip_core::domain::bench::Action;
+use flip_sim::dispense::Dispenser;
 use flip_sim::dispense::outside::State;
 
 /// The first card; none, with the reason printed, where it cannot be opened.
@@ -21,13 +22,21 @@ const ACTIONS: [Action; 3] =
     [Action::once(8.0, 0.0), Action::once(8.0, 8.0), Action::once(8.0, 12.0)];
 
 fn beds() -> Vec<Bed> {
-    let spoons = [small(0.0, 0.4), small(0.6, 0.5), small(0.2, 0.9)];
-    spoons.iter().map(|spoon| Bed::of(spoon).expect("no mechanisms")).collect()
+    of(&[small(0.0, 0.4), small(0.6, 0.5), small(0.2, 0.9)])
+}
+
+/// The same of grains that turn.
+fn turning_beds() -> Vec<Bed> {
+    of(&[turning(0.0, 0.4), turning(0.6, 0.5), turning(0.2, 0.9)])
+}
+
+fn of(spoons: &[Dispenser]) -> Vec<Bed> {
+    spoons.iter().map(|spoon| Bed::of(spoon).expect("a card knows its mechanisms")).collect()
 }
 
 /// Carries out the actions on `count` spoons; what the last one poured and the state of each.
-fn run(card: &Card, count: usize) -> Result<(Vec<Poured>, Vec<State>)> {
-    let mut spoons = Spoons::new(card, beds(), count)?;
+fn run(card: &Card, beds: Vec<Bed>, count: usize) -> Result<(Vec<Poured>, Vec<State>)> {
+    let mut spoons = Spoons::new(card, beds, count)?;
     let mut poured = Vec::new();
     for action in ACTIONS {
         let all: Vec<_> = (0..count).map(|spoon| (spoon, action)).collect();
@@ -74,7 +83,7 @@ fn the_exact_kernel_on_a_card_is_the_twin_in_every_bit() {
         assert_eq!(found, expected);
         for (k, state) in states.iter().enumerate() {
             let on_card = spoons.state(k).expect("the card works");
-            assert_eq!(on_card, crate::layout::state(state), "spoon {k}");
+            assert_eq!(on_card, crate::layout::state(beds[k].kernel(), state), "spoon {k}");
         }
         last = found.iter().map(|poured| (poured.pitch_deg, poured.kept)).collect();
         images = states;
@@ -83,10 +92,17 @@ fn the_exact_kernel_on_a_card_is_the_twin_in_every_bit() {
 
 #[test]
 fn repeats_other_spoons_threads_and_the_small_kernel_give_the_same_bytes() {
+    for beds in [beds(), turning_beds()] {
+        same_bytes(&beds);
+    }
+}
+
+fn same_bytes(beds: &[Bed]) {
     let Some(card) = card(Card::open) else { return };
-    let (poured, states) = run(&card, 3).expect("the card works");
+    let (poured, states) = run(&card, beds.to_vec(), 3).expect("the card works");
+    assert!(poured.iter().any(|it| it.vial_mg > 0.0) && poured.iter().all(|it| it.fault.is_none()));
     let same = |what: &str, card: &Card, count: usize| {
-        let (again, others) = run(card, count).expect("the card works");
+        let (again, others) = run(card, beds.to_vec(), count).expect("the card works");
         assert_eq!(poured, again[..3], "{what}");
         assert_eq!(states, others[..3], "{what}");
     };
@@ -108,6 +124,15 @@ fn a_short_action_ends_at_rest_without_a_fault() {
         assert_eq!((poured.fault, poured.vial_mg), (None, 0.0));
         assert!(poured.substeps >= 250 && poured.rebuilds >= 1);
     }
+}
+
+#[test]
+fn powders_that_turn_and_others_have_tables_of_their_own() {
+    let Some(card) = card(Card::open) else { return };
+    let mixed = [beds(), turning_beds()].concat();
+    assert!(matches!(Spoons::new(&card, mixed, 6), Err(CardError::Unfit(_))));
+    let mut spoons = Spoons::new(&card, turning_beds(), 2).expect("the card works");
+    assert!(matches!(spoons.put(0, beds().remove(0)), Err(CardError::Unfit(_))));
 }
 
 #[test]

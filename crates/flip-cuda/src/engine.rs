@@ -1,5 +1,6 @@
 //! A card as an engine of batches, and of updates.
 
+use crate::layout::Kernel;
 use crate::{Bed, Card, CardError, Heaps, Learners, Spoons};
 use flip_core::learner::{Drawn, Learned, Losses, Shape};
 use flip_sim::batch::heaps;
@@ -25,7 +26,8 @@ impl Engine for Card {
     }
 
     fn batch(&self, places: usize) -> Result<Box<dyn Batch>, Failed> {
-        Ok(Box::new(Spoons::empty(self, places)?))
+        let of = (0..places).map(|_| Kernel::Base).collect();
+        Ok(Box::new(Table { card: self.clone(), of, base: None, extended: None }))
     }
 
     fn updates(&self, shape: &Shape) -> Result<Option<Box<dyn Updates>>, Failed> {
@@ -50,31 +52,71 @@ impl Updates for Learners {
     }
 }
 
-impl Batch for Spoons {
+/// Places for spoons of any powder: those whose grains turn have a table of their own.
+struct Table {
+    card: Card,
+    /// In which one each spoon is.
+    of: Vec<Kernel>,
+    /// Made when they are first needed, with all places.
+    base: Option<Spoons>,
+    extended: Option<Spoons>,
+}
+
+impl Table {
+    fn table(&mut self, kernel: Kernel) -> crate::Result<&mut Spoons> {
+        let places = self.of.len();
+        let table = match kernel {
+            Kernel::Base => &mut self.base,
+            Kernel::Extended => &mut self.extended,
+        };
+        if let Some(table) = table {
+            return Ok(table);
+        }
+        Ok(table.insert(Spoons::empty(&self.card, kernel, places)?))
+    }
+}
+
+impl Batch for Table {
     fn places(&self) -> usize {
-        self.count()
+        self.of.len()
     }
 
     fn fill(&mut self, beds: &[(usize, &Dispenser)]) -> Result<(), Failed> {
         for (place, bed) in beds {
-            self.put(*place, Bed::of(bed).map_err(CardError::from)?)?;
+            let bed = Bed::of(bed).map_err(CardError::from)?;
+            let kernel = bed.kernel();
+            self.table(kernel)?.put(*place, bed)?;
+            self.of[*place] = kernel;
         }
         Ok(())
     }
 
     fn step(&mut self, motions: &[(usize, Motion)]) -> Result<Vec<Stand>, Failed> {
-        let poured = self.carry_out(motions)?;
-        let stand = |((place, _), poured): (&(usize, Motion), crate::Poured)| {
-            let [vial_mg, spilled_mg] = self.left_mg(*place)?;
-            Ok(Stand {
-                vial_mg,
-                spilled_mg,
-                spoon_mg: poured.spoon_mg,
-                pitch_deg: poured.pitch_deg,
-                duration_s: poured.duration_s,
-                fault: poured.fault.map(|fault| fault.to_string()),
-            })
-        };
-        motions.iter().zip(poured).map(stand).collect()
+        let mut stands = vec![None; motions.len()];
+        for kernel in [Kernel::Base, Kernel::Extended] {
+            // A place that does not exist is named by the table.
+            let is_here =
+                |place: &usize| self.of.get(*place).copied().unwrap_or(Kernel::Base) == kernel;
+            let numbers: Vec<usize> =
+                (0..motions.len()).filter(|k| is_here(&motions[*k].0)).collect();
+            if numbers.is_empty() {
+                continue;
+            }
+            let these: Vec<_> = numbers.iter().map(|k| motions[*k]).collect();
+            let table = self.table(kernel)?;
+            let poured = table.carry_out(&these)?;
+            for ((k, (place, _)), poured) in numbers.iter().zip(&these).zip(poured) {
+                let [vial_mg, spilled_mg] = table.left_mg(*place)?;
+                stands[*k] = Some(Stand {
+                    vial_mg,
+                    spilled_mg,
+                    spoon_mg: poured.spoon_mg,
+                    pitch_deg: poured.pitch_deg,
+                    duration_s: poured.duration_s,
+                    fault: poured.fault.map(|fault| fault.to_string()),
+                });
+            }
+        }
+        Ok(stands.into_iter().flatten().collect())
     }
 }

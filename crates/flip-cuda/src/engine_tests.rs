@@ -2,12 +2,13 @@
 
 use crate::card_tests::card;
 use crate::orders::on_all;
-use crate::twin::tests::small;
+use crate::twin::tests::{small, turning};
 use crate::{Bed, Card};
 use flip_core::domain::bench::Action;
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::batch::{Cores, Engine, Failed, Filled, Motion, Place, side_by_side};
 use flip_sim::dispense::{Dispenser, Settings};
+use flip_sim::mechanisms::Extensions;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -16,11 +17,24 @@ const RUNS: u64 = 192;
 /// The 95 % quantile of Student's t for two samples of 192.
 const T: f64 = 1.649;
 
-fn powders() -> [ParameterSet; 2] {
-    [(0.3, 0.0), (0.6, 0.5)].map(|(friction, cohesion)| {
-        let set = ParameterSet::default().with("friction", friction).expect("within its bounds");
-        set.with("cohesion", cohesion).expect("within its bounds")
-    })
+/// Two powders, and a third whose grains turn and are drawn to the spoon.
+fn powders() -> [(ParameterSet, Settings); 3] {
+    let turning = Extensions {
+        rotation: 1.0,
+        rolling_friction: 0.2,
+        spoon_adhesion: 0.5,
+        hold_up: 0.1,
+        ..Extensions::default()
+    };
+    let none = Extensions::default();
+    [(0.3, 0.0, none), (0.6, 0.5, none), (0.5, 0.0, turning)].map(
+        |(friction, cohesion, extensions)| {
+            let set =
+                ParameterSet::default().with("friction", friction).expect("within its bounds");
+            let set = set.with("cohesion", cohesion).expect("within its bounds");
+            (set, Settings { extensions, ..Settings::default() })
+        },
+    )
 }
 
 /// What every spoon has poured after a tilt, and after a shake there, mg.
@@ -60,14 +74,14 @@ fn are_equivalent(cpu: &[f64], card: &[f64]) -> bool {
 #[test]
 fn a_card_pours_what_the_cores_pour_within_half_of_the_scatter_of_one_run() {
     let Some(card) = card(Card::open) else { return };
-    for set in powders() {
+    for (set, settings) in powders() {
         let seeds: Vec<u64> = (0..RUNS).collect();
-        let beds = on_all(&seeds, |_, seed| Dispenser::new(&set, &Settings::default(), *seed));
+        let beds = on_all(&seeds, |_, seed| Dispenser::new(&set, &settings, *seed));
         let cpu = poured(&Cores, &beds).expect("the cores compute");
         let on_card = poured(&card, &beds).expect("the card computes");
         for what in [0, 1] {
             let of = |all: &[[f64; 2]]| all.iter().map(|it| it[what]).collect::<Vec<_>>();
-            assert!(are_equivalent(&of(&cpu), &of(&on_card)), "{set:?}: {what}");
+            assert!(are_equivalent(&of(&cpu), &of(&on_card)), "{set:?}, {settings:?}: {what}");
         }
     }
 }
@@ -75,7 +89,7 @@ fn a_card_pours_what_the_cores_pour_within_half_of_the_scatter_of_one_run() {
 #[test]
 fn a_place_on_a_card_is_filled_again_with_another_powder_and_counts_from_then() {
     let Some(card) = card(Card::open) else { return };
-    let (easy, hard) = (small(0.0, 0.3), small(0.6, 0.9));
+    let (easy, hard) = (small(0.0, 0.3), turning(0.6, 0.9));
     let act = Motion::Act(Action::once(8.0, 12.0));
     let fresh = |bed: &Dispenser| {
         let mut batch = card.batch(1).expect("it has memory");
@@ -97,7 +111,7 @@ fn a_place_on_a_card_is_filled_again_with_another_powder_and_counts_from_then() 
 #[test]
 fn procedures_side_by_side_on_a_card_are_the_same_bytes_whoever_is_beside_them() {
     let Some(card) = card(Card::open) else { return };
-    let beds = [small(0.0, 0.4), small(0.6, 0.5)].map(Arc::new);
+    let beds = [small(0.0, 0.4), turning(0.6, 0.5)].map(Arc::new);
     let poured = |places: usize| {
         let mut batch = card.batch(places).expect("it has memory");
         let mut given = vec![0; 12];
@@ -126,8 +140,8 @@ fn procedures_side_by_side_on_a_card_are_the_same_bytes_whoever_is_beside_them()
 #[test]
 fn what_a_card_cannot_compute_is_refused_in_words() {
     let mut settings = Settings { particles: 200, ..Settings::default() };
-    settings.extensions.rotation = 1.0;
-    let rolling = Dispenser::new(&ParameterSet::default(), &settings, 1);
-    let refused = Bed::of(&rolling).expect_err("its powder rotates");
+    settings.extensions.humidity = 0.5;
+    let wet = Dispenser::new(&ParameterSet::default(), &settings, 1);
+    let refused = Bed::of(&wet).expect_err("its powder is wet");
     assert!(refused.to_string().contains("mechanisms"), "{refused}");
 }

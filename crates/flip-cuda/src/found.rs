@@ -20,6 +20,8 @@ pub struct Found {
     pub driver: i32,
     /// Whether it has the shared memory of the larger kernel.
     pub(crate) is_large: bool,
+    /// The same for grains that turn.
+    pub(crate) is_larger: bool,
 }
 
 impl std::fmt::Display for Found {
@@ -107,6 +109,7 @@ fn found(number: usize) -> Result<Found> {
     #[allow(unsafe_code)]
     // SAFETY: the driver writes one number to where the pointer leads.
     unsafe { sys::cuDriverGetVersion(&mut driver) }.result().map_err(bad)?;
-    let is_large = bytes >= layout::SHARED + STATIC;
-    Ok(Found { name, capability: (major, minor), driver, is_large })
+    let has_room = |kernel: layout::Kernel| bytes >= kernel.shared() + STATIC;
+    let [is_large, is_larger] = [layout::Kernel::Base, layout::Kernel::Extended].map(has_room);
+    Ok(Found { name, capability: (major, minor), driver, is_large, is_larger })
 }

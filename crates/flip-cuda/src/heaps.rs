@@ -1,11 +1,13 @@
 //! Heaps on a card, many at once. Their states stay there between orders.
 
-use crate::layout::{self, Outcome};
+use crate::layout::{self, Kernel, Outcome};
 use crate::orders::{Orders, Raw};
 use crate::{Card, CardError, Result};
 use cudarc::driver::CudaSlice;
 use flip_sim::batch::Failed;
 use flip_sim::batch::heaps::{self, Order, Stand};
+
+const BASE: Kernel = Kernel::Base;
 
 /// Places for heaps on one card. A heap takes 0.8 MB of its memory.
 #[derive(Debug)]
@@ -24,8 +26,8 @@ impl Heaps {
     pub fn empty(card: &Card, count: usize) -> Result<Self> {
         let stream = card.stream();
         // No table may be empty.
-        let laws = stream.alloc_zeros::<u32>((count * layout::LAW).max(1))?;
-        let words = stream.alloc_zeros::<u32>((count * layout::SPOON).max(1))?;
+        let laws = stream.alloc_zeros::<u32>((count * BASE.law()).max(1))?;
+        let words = stream.alloc_zeros::<u32>((count * BASE.spoon()).max(1))?;
         stream.synchronize()?;
         Ok(Self { card: card.for_heaps()?, laws, words, held: Held::empty(count) })
     }
@@ -34,9 +36,9 @@ impl Heaps {
         let stream = self.card.stream();
         let begun = self.held.begin(orders)?;
         for (place, law) in &begun {
-            let mut words = self.laws.slice_mut(place * layout::LAW..(place + 1) * layout::LAW);
+            let mut words = self.laws.slice_mut(place * BASE.law()..(place + 1) * BASE.law());
             stream.memcpy_htod(law, &mut words)?;
-            let start = place * layout::SPOON;
+            let start = place * BASE.spoon();
             stream.memset_zeros(&mut self.words.slice_mut(start..start + layout::HEAD))?;
         }
         // Until then the card may read the laws.

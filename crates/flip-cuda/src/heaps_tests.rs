@@ -28,8 +28,9 @@ impl Twin {
     /// None where it cannot be compiled.
     fn of(count: usize) -> Option<Self> {
         built(TWIN)?;
-        let nothing = layout::image(&State::default()).expect("it has no grains");
-        let laws = vec![vec![0; layout::LAW]; count];
+        let nothing =
+            layout::image(layout::Kernel::Base, &State::default()).expect("it has no grains");
+        let laws = vec![vec![0; layout::Kernel::Base.law()]; count];
         Some(Self { held: Held::empty(count), laws, words: vec![nothing; count], seen: Vec::new() })
     }
 }
@@ -52,10 +53,14 @@ impl Heaps for Twin {
         self.words = words;
         let mut stands = self.held.stands(orders, &raw)?;
         for ((place, order), stand) in orders.iter().zip(&mut stands) {
-            stand.state = order.look.then(|| layout::state(&self.words[*place]));
+            stand.state =
+                order.look.then(|| layout::state(layout::Kernel::Base, &self.words[*place]));
         }
         let done = self.seen.last().map_or(0, |(substeps, _)| *substeps);
-        self.seen.push((done + orders[0].1.substeps, layout::state(&self.words[0])));
+        self.seen.push((
+            done + orders[0].1.substeps,
+            layout::state(layout::Kernel::Base, &self.words[0]),
+        ));
         Ok(stands)
     }
 }

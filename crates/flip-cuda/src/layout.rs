@@ -3,7 +3,7 @@
 
 use crate::Fault;
 use flip_sim::batch::heaps::Ground;
-use flip_sim::dispense::outside::{Departed, Grain, Spoon, State, Strengths};
+use flip_sim::dispense::outside::{Departed, Grain, Mechanisms, Spoon, State, Strengths, Turning};
 
 /// Room for grains of a spoon.
 pub(crate) const GRAINS: usize = 2560;
@@ -15,31 +15,90 @@ const CELLS: usize = 4096;
 /// Words of a spoon's head, its law, a part of a plan, a job, an outcome, a grain that is poured, a
 /// departed grain.
 pub(crate) const HEAD: usize = 32;
-pub(crate) const LAW: usize = 38;
+const LAW: usize = 38;
+const MECHANISMS: usize = 9;
 pub(crate) const PART: usize = 5;
 pub(crate) const JOB: usize = 7;
 pub(crate) const OUTCOME: usize = 10;
 pub(crate) const ADDED: usize = 7;
 pub(crate) const DEPARTED: usize = 9;
-/// Words of what a spoon's grains remember.
-const MEMORY: usize = (4 + 1 + 1) * GRAINS + CONTACTS + 2 * CONTACTS + PAIRS;
-/// Where touching pairs, and their anchors, begin in the first memory.
-const TOUCHING: usize = MEMORIES + 6 * GRAINS;
-const ANCHORS: usize = TOUCHING + CONTACTS;
-/// In the second word of an anchor: the pair touches now.
+/// In the second word of a base simulator's anchor: the pair touches now.
 const TOUCHES: u32 = 1 << 31;
-/// Where that begins.
-const MEMORIES: usize = HEAD + 8 * GRAINS;
-/// Words of a spoon.
-pub(crate) const SPOON: usize = MEMORIES + 2 * MEMORY + 3 * GRAINS;
-/// Words of a spoon that were filled by the CPU: without the second memory.
-pub(crate) const IMAGE: usize = MEMORIES + MEMORY;
-/// Bytes of shared memory of the large and of the small kernel, and of the small one's room in the
-/// card's memory.
-pub(crate) const SHARED: usize = (4 + 3 + 4 + 3) * 4 * GRAINS + PLACES;
+/// Bytes of shared memory of the small kernels.
 pub(crate) const SHARED_SMALL: usize = (4 + 3) * 4 * GRAINS + PLACES;
-pub(crate) const ROOM: usize = (4 + 3) * 4 * GRAINS;
 const PLACES: usize = (2 * (2 * GRAINS + CELLS + 1)).next_multiple_of(16);
+
+/// What a kernel computes; its state has a layout of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kernel {
+    /// The base simulator.
+    Base,
+    /// Grains that turn, with the mechanisms of [`Mechanisms`].
+    Extended,
+}
+
+impl Kernel {
+    /// The one for this spoon.
+    pub(crate) fn of(spoon: &Spoon) -> Self {
+        if spoon.mechanisms.is_some() { Self::Extended } else { Self::Base }
+    }
+
+    const fn either(self, base: usize, extended: usize) -> usize {
+        match self {
+            Self::Base => base,
+            Self::Extended => extended,
+        }
+    }
+
+    /// Words of a law.
+    pub(crate) const fn law(self) -> usize {
+        LAW + self.either(0, MECHANISMS)
+    }
+
+    /// Words of a spoon before its memories: head, centres, velocities, and spins.
+    pub(crate) const fn motion(self) -> usize {
+        HEAD + self.either(8, 12) * GRAINS
+    }
+
+    // Where they begin in a memory, which itself begins with anchors and stretches at the spoon.
+    const fn ids(self) -> usize {
+        self.either(4, 8) * GRAINS
+    }
+    const fn touching(self) -> usize {
+        self.ids() + 2 * GRAINS
+    }
+    const fn anchors(self) -> usize {
+        self.touching() + CONTACTS
+    }
+    const fn rolls(self) -> usize {
+        self.anchors() + self.either(2, 4) * CONTACTS
+    }
+
+    /// Words of what a spoon's grains remember.
+    const fn memory(self) -> usize {
+        self.rolls() + self.either(0, 3) * CONTACTS + PAIRS
+    }
+
+    /// Words of a spoon.
+    pub(crate) const fn spoon(self) -> usize {
+        self.motion() + 2 * self.memory() + 3 * GRAINS
+    }
+
+    /// Words of a spoon that were filled by the CPU: without the second memory.
+    pub(crate) const fn image(self) -> usize {
+        self.motion() + self.memory()
+    }
+
+    /// Bytes of a small kernel's room in the card's memory, which a large one has in shared memory.
+    pub(crate) const fn room(self) -> usize {
+        self.either(4 + 3, 4 + 3 + 3 + 3) * 4 * GRAINS
+    }
+
+    /// Bytes of shared memory of the large kernel.
+    pub(crate) const fn shared(self) -> usize {
+        SHARED_SMALL + self.room()
+    }
+}
 
 /// Side of a grid cell, grain diameters: the search reaches at least this far.
 const CELL: f32 = 2.0;
@@ -55,15 +114,36 @@ const ANCHOR_BITS: u32 = 0x1f_ffff;
 /// The law's numbers as the kernel reads them.
 pub(crate) fn law(spoon: &Spoon) -> Vec<u32> {
     let [a, b, c] = spoon.semi_axes;
-    let mut words = contacts(&spoon.grain, &spoon.wall, spoon.drag);
+    // Turning grains are given velocities after the drag, the others before it.
+    let drag = if spoon.mechanisms.is_some() { 1.0 } else { spoon.drag };
+    let mut words = contacts(&spoon.grain, &spoon.wall, drag);
     let mut tell = |numbers: &[f32]| words.extend(numbers.iter().map(|x| x.to_bits()));
-    let within = |axis: f32| (1.0 - (0.5 + spoon.wall.reach + CLEARANCE) / axis).max(0.0).powi(2);
+    let reach = spoon.mechanisms.map_or(0.0, |it| it.charge_reach).max(spoon.wall.reach);
+    let within = |axis: f32| (1.0 - (0.5 + reach + CLEARANCE) / axis).max(0.0).powi(2);
     tell(&[spoon.drag, 1.0 / (a * a), 1.0 / (b * b), 1.0 / (c * c), c]);
     tell(&[within(a.min(b).min(c)), within(a.min(b)), spoon.rest_speed * spoon.rest_speed]);
     words.extend([spoon.quiet, spoon.slice]);
     words.extend(grid([-a - 3.0, -b - 3.0, -c - 1.5], [a + 3.0, b + 3.0, HEADROOM]));
     words.push(0.0f32.to_bits());
+    words.extend(spoon.mechanisms.iter().flat_map(mechanisms));
     words
+}
+
+/// The mechanisms' numbers as the kernel reads them.
+fn mechanisms(of: &Mechanisms) -> [u32; MECHANISMS] {
+    [
+        // The moment of inertia of a solid sphere is 2/5 m r^2, and r is 1/2.
+        2.5 * of.freedom / 0.25,
+        of.rolling_friction,
+        of.rolling_stiffness,
+        of.rolling_damping,
+        of.film,
+        of.cling,
+        1.0 / of.film_reach,
+        of.charge,
+        of.charge_reach,
+    ]
+    .map(f32::to_bits)
 }
 
 /// The same of a heap on its base.
@@ -79,7 +159,7 @@ pub(crate) fn ground(of: &Ground) -> Vec<u32> {
     words
 }
 
-/// Between grains, and at walls. Pairs are given velocities before the drag.
+/// Between grains, and at walls. Pairs are given velocities before this drag.
 fn contacts(grain: &Strengths, wall: &Strengths, drag: f32) -> Vec<u32> {
     let grain = Strengths {
         normal_damping: grain.normal_damping * drag,
@@ -120,12 +200,13 @@ fn strengths(of: &Strengths) -> [f32; 10] {
 }
 
 /// A spoon's state as the kernel reads it; none if it has too many grains or contacts.
-pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
+pub(crate) fn image(kernel: Kernel, state: &State) -> Option<Vec<u32>> {
     let n = state.grains.len();
     if n > GRAINS || state.stuck.len() > CONTACTS {
         return None;
     }
-    let mut words = vec![0; IMAGE];
+    let mut words = vec![0; kernel.image()];
+    let memory = kernel.motion();
     words[0] = n as u32;
     words[7] = state.stuck.len() as u32;
     for (i, grain) in state.grains.iter().enumerate() {
@@ -133,17 +214,38 @@ pub(crate) fn image(state: &State) -> Option<Vec<u32>> {
         set(&mut words, HEAD + 4 * i, [grain.x[0], grain.x[1], grain.x[2], share]);
         set(&mut words, HEAD + 4 * (GRAINS + i), [grain.v[0], grain.v[1], grain.v[2], 0.0]);
         let [x, y, z] = grain.wall_anchor.unwrap_or_default();
-        set(&mut words, MEMORIES + 4 * i, [x, y, z, 0.0]);
-        words[MEMORIES + 4 * GRAINS + i] = grain.id;
-        words[MEMORIES + 5 * GRAINS + i] = u32::from(grain.wall_anchor.is_some());
+        set(&mut words, memory + 4 * i, [x, y, z, 0.0]);
+        words[memory + kernel.ids() + i] = grain.id;
+        words[memory + kernel.ids() + GRAINS + i] = u32::from(grain.wall_anchor.is_some());
     }
     for (k, ([a, b], anchor)) in state.stuck.iter().enumerate() {
-        let [low, high] = pack(*anchor);
-        words[TOUCHING + k] = a | b << 16;
-        words[ANCHORS + 2 * k] = low;
-        words[ANCHORS + 2 * k + 1] = high | TOUCHES;
+        words[memory + kernel.touching() + k] = a | b << 16;
+        let at = memory + kernel.anchors();
+        match kernel {
+            Kernel::Base => {
+                let [low, high] = pack(*anchor);
+                words[at + 2 * k] = low;
+                words[at + 2 * k + 1] = high | TOUCHES;
+            }
+            Kernel::Extended => set(&mut words, at + 4 * k, with(*anchor, 1.0)),
+        }
+    }
+    if kernel == Kernel::Extended {
+        for (i, it) in state.turning.iter().enumerate() {
+            set(&mut words, HEAD + 4 * (2 * GRAINS + i), with(it.spin, 0.0));
+            let clings = f32::from(u8::from(it.clings));
+            set(&mut words, memory + 4 * (GRAINS + i), with(it.wall_stretch, clings));
+        }
+        for (k, stretch) in state.rolls.iter().enumerate() {
+            let at = memory + kernel.rolls() + 3 * k;
+            words[at..at + 3].copy_from_slice(&stretch.map(f32::to_bits));
+        }
     }
     Some(words)
+}
+
+fn with([x, y, z]: [f32; 3], w: f32) -> [f32; 4] {
+    [x, y, z, w]
 }
 
 fn set(words: &mut [u32], at: usize, numbers: [f32; 4]) {
@@ -164,19 +266,18 @@ fn unpack([low, high]: [u32; 2]) -> [f32; 3] {
 }
 
 /// Which of the two memories of a spoon is the present one: where it lies among its words.
-pub(crate) fn present_memory(head: &[u32]) -> std::ops::Range<usize> {
-    let start = MEMORIES + head[2] as usize % 2 * MEMORY;
-    start..start + MEMORY
+pub(crate) fn present_memory(kernel: Kernel, head: &[u32]) -> std::ops::Range<usize> {
+    let start = kernel.motion() + head[2] as usize % 2 * kernel.memory();
+    start..start + kernel.memory()
 }
-
-/// Words of a spoon before its memories: head, centres, velocities.
-pub(crate) const MOTION: usize = MEMORIES;
 
 /// The state of a spoon from its words up to the end of its first memory, which must be the present
 /// one; grains that left are not in it.
-pub(crate) fn state(words: &[u32]) -> State {
+pub(crate) fn state(kernel: Kernel, words: &[u32]) -> State {
     let n = (words[0] as usize).min(GRAINS);
+    let memory = kernel.motion();
     let four = |at: usize| [0, 1, 2, 3].map(|k| f32::from_bits(words[at + k]));
+    let three = |at: usize| [0, 1, 2].map(|k| f32::from_bits(words[at + k]));
     let mut places = vec![None; n];
     let mut state = State::default();
     for (i, place) in places.iter_mut().enumerate() {
@@ -185,28 +286,53 @@ pub(crate) fn state(words: &[u32]) -> State {
             continue;
         }
         let [vx, vy, vz, _] = four(HEAD + 4 * (GRAINS + i));
-        let [wx, wy, wz, _] = four(MEMORIES + 4 * i);
-        let touches = words[MEMORIES + 5 * GRAINS + i] != 0;
+        let [wx, wy, wz, _] = four(memory + 4 * i);
+        let touches = words[memory + kernel.ids() + GRAINS + i] != 0;
         *place = Some(state.grains.len() as u32);
         state.grains.push(Grain {
-            id: words[MEMORIES + 4 * GRAINS + i],
+            id: words[memory + kernel.ids() + i],
             x: [x, y, z],
             v: [vx, vy, vz],
             // A grain without contacts has the share of one with a single contact.
             contacts: (1.0 / (share * share)).round(),
             wall_anchor: touches.then_some([wx, wy, wz]),
         });
+        if kernel == Kernel::Extended {
+            let [sx, sy, sz, clings] = four(memory + 4 * (GRAINS + i));
+            state.turning.push(Turning {
+                spin: three(HEAD + 4 * (2 * GRAINS + i)),
+                wall_stretch: if touches { [sx, sy, sz] } else { [0.0; 3] },
+                clings: clings > 0.0,
+            });
+        }
     }
+    let mut stuck = Vec::new();
     for k in 0..(words[7] as usize).min(CONTACTS) {
-        let [low, high] = [words[ANCHORS + 2 * k], words[ANCHORS + 2 * k + 1]];
-        let ends = [words[TOUCHING + k] & 0xffff, words[TOUCHING + k] >> 16];
-        let here = ends.map(|end| places.get(end as usize).copied().flatten());
-        if let ([Some(a), Some(b)], true) = (here, high & TOUCHES != 0) {
-            state.stuck.push(([a, b], unpack([low, high])));
+        let pair = words[memory + kernel.touching() + k];
+        let here = [pair & 0xffff, pair >> 16];
+        let here = here.map(|end| places.get(end as usize).copied().flatten());
+        let at = memory + kernel.anchors();
+        let (anchor, touches) = match kernel {
+            Kernel::Base => {
+                let [low, high] = [words[at + 2 * k], words[at + 2 * k + 1]];
+                (unpack([low, high]), high & TOUCHES != 0)
+            }
+            Kernel::Extended => (three(at + 4 * k), words[at + 4 * k + 3] != 0),
+        };
+        let stretch = match kernel {
+            Kernel::Base => [0.0; 3],
+            Kernel::Extended => three(memory + kernel.rolls() + 3 * k),
+        };
+        if let ([Some(a), Some(b)], true) = (here, touches) {
+            stuck.push(([a, b], anchor, stretch));
         }
     }
     // Contacts that began at the same time are listed in any order.
-    state.stuck.sort_unstable_by_key(|(ends, _)| *ends);
+    stuck.sort_unstable_by_key(|(ends, ..)| *ends);
+    for (ends, anchor, stretch) in stuck {
+        state.stuck.push((ends, anchor));
+        state.rolls.extend((kernel == Kernel::Extended).then_some(stretch));
+    }
     state
 }
 
@@ -279,8 +405,24 @@ mod tests {
         let state = State {
             grains: vec![grain(4, 0.0), grain(1, 1.0), grain(9, 2.0)],
             stuck: vec![([0, 1], [-1.0, 0.0, 0.0]), ([1, 2], [-0.75, 0.25, 0.0])],
+            ..State::default()
         };
-        let found = super::state(&image(&state).expect("it has few grains"));
+        let through =
+            |kernel, state| super::state(kernel, &image(kernel, state).expect("few grains"));
+        let turning =
+            |spin, clings| Turning { spin: [spin, 0.0, -0.1], wall_stretch: [0.0; 3], clings };
+        let turns = State {
+            turning: vec![
+                turning(0.1, false),
+                Turning { wall_stretch: [0.0, 0.01, 0.02], ..turning(0.2, true) },
+                turning(0.0, false),
+            ],
+            rolls: vec![[0.5, 0.0, -0.25], [0.0, 1e-9, 0.0]],
+            ..state.clone()
+        };
+        assert_eq!(through(Kernel::Extended, &turns), turns);
+        let found = through(Kernel::Base, &state);
+        assert_eq!((&found.turning, &found.rolls), (&vec![], &vec![]));
         assert_eq!(found.grains, state.grains);
         for ((ends, anchor), (expected, exact)) in found.stuck.iter().zip(&state.stuck) {
             assert_eq!(ends, expected);

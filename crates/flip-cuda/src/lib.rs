@@ -32,8 +32,9 @@
 //!
 //! # Limits
 //!
-//! Mechanisms beyond the base simulator are not on the card. A spoon or heap has at most 2560
-//! grains.
+//! Of the mechanisms beyond the base simulator, spoons on a card have those of
+//! [`flip_sim::mechanisms::OUTSIDE`], by a kernel of their own; heaps have none. A spoon or heap has at
+//! most 2560 grains.
 
 /// Version of what a card computes of spoons and heaps. It is raised whenever the same inputs give other bytes.
 pub const VERSION: u32 = 3;

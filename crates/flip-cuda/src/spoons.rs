@@ -1,7 +1,8 @@
 //! A batch of spoons on a card.
 
+use crate::layout::Kernel;
 use crate::orders::{self, Task};
-use crate::{Bed, Card, CardError, Fault, Result, layout};
+use crate::{Bed, Card, CardError, Fault, Result};
 use cudarc::driver::CudaSlice;
 use flip_core::domain::bench::Action;
 use flip_sim::batch::Motion;
@@ -52,6 +53,10 @@ impl Standing {
     }
 }
 
+/// Those of one table have one layout.
+const UNLIKE: CardError =
+    CardError::Unfit("powders with and without mechanisms cannot be in one table of spoons");
+
 /// Spoons on one card, each with its own powder. Their states stay there between actions.
 #[derive(Debug)]
 pub struct Spoons {
@@ -95,15 +100,20 @@ impl Held {
 
 impl Spoons {
     /// Puts the beds on the card and fills `count` spoons from them, one bed after another. A spoon
-    /// takes 0.8 MB of the card's memory, a bed 0.4 MB.
+    /// takes 0.8 MB of the card's memory, a bed 0.4 MB; twice that if grains turn.
     ///
     /// # Errors
-    /// [`CardError`]: no beds, too little memory, or a card that fails.
+    /// [`CardError`]: no beds, beds with and without mechanisms, too little memory, or a card that
+    /// fails.
     pub fn new(card: &Card, beds: Vec<Bed>, count: usize) -> Result<Self> {
-        if beds.is_empty() || count == 0 {
+        let (Some(first), true) = (beds.first(), count > 0) else {
             return Err(CardError::NoSuch { number: 0, count: 0 });
+        };
+        let kernel = first.kernel();
+        if beds.iter().any(|bed| bed.kernel() != kernel) {
+            return Err(UNLIKE);
         }
-        let mut spoons = Self::with_bank(card, beds, count)?;
+        let mut spoons = Self::with_bank(card, kernel, beds, count)?;
         for spoon in 0..count {
             spoons.fill(spoon, spoon % spoons.held.beds.len())?;
         }
@@ -111,34 +121,37 @@ impl Spoons {
     }
 
     /// So many empty spoons, each to be filled by [`Spoons::put`].
-    ///
-    /// # Errors
-    /// [`CardError`]: too little memory, or a card that fails.
-    pub fn empty(card: &Card, count: usize) -> Result<Self> {
-        Self::with_bank(card, Vec::new(), count)
+    pub(crate) fn empty(card: &Card, kernel: Kernel, count: usize) -> Result<Self> {
+        Self::with_bank(card, kernel, Vec::new(), count)
     }
 
-    fn with_bank(card: &Card, beds: Vec<Bed>, count: usize) -> Result<Self> {
+    fn with_bank(card: &Card, kernel: Kernel, beds: Vec<Bed>, count: usize) -> Result<Self> {
+        let card = card.for_spoons(kernel)?;
         let stream = card.stream();
-        let mut laws = stream.alloc_zeros::<u32>(((beds.len() + count) * layout::LAW).max(1))?;
+        let [law, image] = [kernel.law(), kernel.image()];
         // No table may be empty.
-        let mut bank = stream.alloc_zeros::<u32>((beds.len() * layout::IMAGE).max(1))?;
+        let mut laws = stream.alloc_zeros::<u32>(((beds.len() + count) * law).max(1))?;
+        let mut bank = stream.alloc_zeros::<u32>((beds.len() * image).max(1))?;
         for (k, bed) in beds.iter().enumerate() {
-            let mut place = bank.slice_mut(k * layout::IMAGE..(k + 1) * layout::IMAGE);
-            stream.memcpy_htod(&bed.image, &mut place)?;
-            let mut place = laws.slice_mut(k * layout::LAW..(k + 1) * layout::LAW);
-            stream.memcpy_htod(&bed.law, &mut place)?;
+            stream.memcpy_htod(&bed.image, &mut bank.slice_mut(k * image..(k + 1) * image))?;
+            stream.memcpy_htod(&bed.law, &mut laws.slice_mut(k * law..(k + 1) * law))?;
         }
-        let words = stream.alloc_zeros::<u32>((count * layout::SPOON).max(1))?;
+        let words = stream.alloc_zeros::<u32>((count * kernel.spoon()).max(1))?;
         stream.synchronize()?;
         let (own, standing) = ((0..count).map(|_| None).collect(), vec![None; count]);
         let held = Held { beds, own, standing };
-        Ok(Self { card: card.clone(), held, laws, bank, words, kernel_s: 0.0 })
+        Ok(Self { card, held, laws, bank, words, kernel_s: 0.0 })
     }
 
     /// How many there are.
     pub fn count(&self) -> usize {
         self.held.standing.len()
+    }
+
+    /// How a spoon is laid out, and where it begins.
+    fn room(&self, spoon: usize) -> (Kernel, usize) {
+        let of = self.card.layout();
+        (of, spoon * of.spoon())
     }
 
     /// Fills a spoon from a bed of the bank, and forgets what was in it.
@@ -149,9 +162,9 @@ impl Spoons {
         self.held.exists(spoon)?;
         let beds = self.held.beds.len();
         let from = self.held.beds.get(bed).ok_or(CardError::NoSuch { number: bed, count: beds })?;
-        let image = self.bank.slice(bed * layout::IMAGE..(bed + 1) * layout::IMAGE);
-        let start = spoon * layout::SPOON;
-        let mut place = self.words.slice_mut(start..start + layout::IMAGE);
+        let (of, start) = self.room(spoon);
+        let image = self.bank.slice(bed * of.image()..(bed + 1) * of.image());
+        let mut place = self.words.slice_mut(start..start + of.image());
         self.card.stream().memcpy_dtod(&image, &mut place)?;
         self.held.standing[spoon] = Some(Standing::filled(bed, from));
         Ok(())
@@ -160,15 +173,17 @@ impl Spoons {
     /// Fills a spoon with this bed, and forgets what was in it: 0.4 MB go to the card.
     ///
     /// # Errors
-    /// [`CardError::NoSuch`], or a card that fails.
+    /// [`CardError`]: no such spoon, a powder that turns among others that do not, or a card that fails.
     pub fn put(&mut self, spoon: usize, mut bed: Bed) -> Result<()> {
         self.held.exists(spoon)?;
-        let stream = self.card.stream();
-        let start = spoon * layout::SPOON;
-        let mut place = self.words.slice_mut(start..start + layout::IMAGE);
+        let (stream, (of, start)) = (self.card.stream(), self.room(spoon));
+        if bed.kernel() != of {
+            return Err(UNLIKE);
+        }
+        let mut place = self.words.slice_mut(start..start + of.image());
         stream.memcpy_htod(&bed.image, &mut place)?;
         let law = self.held.beds.len() + spoon;
-        let mut place = self.laws.slice_mut(law * layout::LAW..(law + 1) * layout::LAW);
+        let mut place = self.laws.slice_mut(law * of.law()..(law + 1) * of.law());
         stream.memcpy_htod(&bed.law, &mut place)?;
         // Until then the card may read them.
         stream.synchronize()?;

@@ -53,7 +53,10 @@ pub(crate) fn carry_out(
     spoons: &[Vec<u32>],
     orders: &Orders,
 ) -> Option<(Vec<Vec<u32>>, Raw)> {
-    carry_out_by("cuda/twin.cpp", laws, spoons, orders)
+    // Both kinds of powder have laws of their own length.
+    let extended = laws[0].len() == layout::Kernel::Extended.law();
+    let twin = if extended { "cuda/extended_twin.cpp" } else { "cuda/twin.cpp" };
+    carry_out_by(twin, laws, spoons, orders)
 }
 
 /// The same by another twin, of heaps.
@@ -94,7 +97,7 @@ pub(crate) fn carry_out_by(
         rest = left;
         taken.to_vec()
     };
-    let states = spoons.iter().map(|_| take(layout::IMAGE)).collect();
+    let states = spoons.iter().map(|spoon| take(spoon.len())).collect();
     let raw = Raw {
         outcomes: take(jobs * layout::OUTCOME),
         rests: take(parts),

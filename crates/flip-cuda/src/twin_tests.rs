@@ -1,44 +1,67 @@
 //! The kernel's source, compiled for a processor, beside flip-sim.
 
 use super::carry_out;
+use crate::Poured;
+use crate::layout::{self, Kernel};
 use crate::orders::{self, Orders, Task};
-use crate::{Poured, layout};
 use flip_core::domain::bench::Action;
 use flip_core::domain::parameters::ParameterSet;
 use flip_sim::batch::Motion;
 use flip_sim::dispense::outside::{Grain, State};
 use flip_sim::dispense::{Dispenser, Settings};
+use flip_sim::mechanisms::Extensions;
 
 /// A small spoon, filled and at rest.
 pub(crate) fn small(cohesion: f64, friction: f64) -> Dispenser {
-    of(Dispenser::new, cohesion, friction)
+    of(Dispenser::new, cohesion, friction, Extensions::default())
+}
+
+/// The same of grains that turn, of which some cling, and all are drawn to the spoon.
+pub(crate) fn turning(cohesion: f64, friction: f64) -> Dispenser {
+    let extensions = Extensions {
+        rotation: 1.0,
+        rolling_friction: 0.2,
+        spoon_adhesion: 0.5,
+        hold_up: 0.2,
+        charge: 0.3,
+        ..Extensions::default()
+    };
+    of(Dispenser::new, cohesion, friction, extensions)
+}
+
+fn kernel(dispenser: &Dispenser) -> Kernel {
+    Kernel::of(&dispenser.spoon().expect("a card knows its mechanisms"))
+}
+
+fn image(dispenser: &Dispenser) -> Vec<u32> {
+    layout::image(kernel(dispenser), &dispenser.state()).expect("few grains")
 }
 
 /// How a spoon is filled: [`Dispenser::new`] or [`Dispenser::loose`].
 type Fill = fn(&ParameterSet, &Settings, u64) -> Dispenser;
 
-fn of(fill: Fill, cohesion: f64, friction: f64) -> Dispenser {
+fn of(fill: Fill, cohesion: f64, friction: f64, extensions: Extensions) -> Dispenser {
     let set = ParameterSet::default()
         .with("cohesion", cohesion)
         .and_then(|set| set.with("friction", friction))
         .and_then(|set| set.with("adhesion", cohesion))
         .expect("they are within their bounds");
-    let settings =
-        Settings { particles: 350, semi_axes_mm: [2.4, 1.7, 1.0], ..Settings::default() };
+    let semi_axes_mm = [2.4, 1.7, 1.0];
+    let settings = Settings { particles: 350, semi_axes_mm, extensions, ..Settings::default() };
     fill(&set, &settings, 5)
 }
 
 /// What one motion of the twin makes of a spoon.
 fn moved(dispenser: &Dispenser, motion: Motion) -> Option<(State, Poured)> {
     let spoon = dispenser.spoon().expect("no mechanisms");
-    let image = layout::image(&dispenser.state()).expect("few grains");
+    let image = image(dispenser);
     let pitch_deg = dispenser.pitch_deg();
     let (shape, grains) = (&spoon, image[0]);
     let tasks = [Task { spoon: 0, law: 0, shape, pitch_deg, motion, grains }];
     let orders = orders::plan(&tasks);
     let (states, raw) = carry_out(&[layout::law(&spoon)], &[image], &orders)?;
     let poured = orders::poured(&tasks, &orders, &raw).expect("it makes sense")[0];
-    Some((layout::state(&states[0]), poured))
+    Some((layout::state(kernel(dispenser), &states[0]), poured))
 }
 
 /// One job for each spoon: `bodies` of its own, without rest.
@@ -53,20 +76,22 @@ fn driven(spoons: usize, bodies: &[Vec<[f32; 2]>]) -> Orders {
 }
 
 /// Largest differences between two states, grain by grain: centres, velocities, wall anchors, pair
-/// anchors; and how many contacts were decided otherwise: they closed, or slipped, in one only,
+/// anchors, spins, stretches of rolling; and how many contacts were decided otherwise: they closed, or slipped, in one only,
 /// because they were within rounding of doing so. (A contact that begins to slip takes the damping
 /// into its anchor, which jumps.)
-fn differences(a: &State, b: &State) -> ([f32; 4], usize) {
+fn differences(a: &State, b: &State) -> ([f32; 6], usize) {
     let sorted = |state: &State| {
-        let mut grains = state.grains.clone();
-        grains.sort_unstable_by_key(|grain| grain.id);
+        let turning = state.turning.iter().map(|it| Some(*it)).chain(std::iter::repeat(None));
+        let mut grains: Vec<_> = state.grains.iter().copied().zip(turning).collect();
+        grains.sort_unstable_by_key(|(grain, _)| grain.id);
         grains
     };
     let stuck = |state: &State| {
-        let all = state.stuck.iter().map(|(ends, anchor)| {
+        let rolls = state.rolls.iter().copied().chain(std::iter::repeat([0.0; 3]));
+        let all = state.stuck.iter().zip(rolls).map(|((ends, anchor), roll)| {
             let [i, j] = ends.map(|end| state.grains[end as usize].id);
             let sign = if i < j { 1.0 } else { -1.0 };
-            ((i.min(j), i.max(j)), anchor.map(|x| sign * x))
+            ((i.min(j), i.max(j)), [*anchor, roll].map(|it| it.map(|x| sign * x)))
         });
         all.collect::<std::collections::BTreeMap<_, _>>()
     };
@@ -81,10 +106,22 @@ fn differences(a: &State, b: &State) -> ([f32; 4], usize) {
             / (0..3).map(|k| of(k) * of(k)).sum::<f32>();
         (0..3).map(|k| (off[k] - along * of(k)).powi(2)).sum::<f32>().sqrt()
     };
-    let (mut largest, mut single) = ([0.0f32; 4], 0);
+    let (mut largest, mut single) = ([0.0f32; 6], 0);
     let mut raise = |k: usize, by: f32| largest[k] = largest[k].max(by);
-    for (x, y) in mine.iter().zip(&theirs) {
+    // One that rolls at exactly the limit takes the damping into its stretch.
+    let rolled = |x: [f32; 3], y: [f32; 3]| Some(apart(x, y)).filter(|by| *by < 1e-5);
+    for ((x, turns), (y, turned)) in mine.iter().zip(&theirs) {
         assert_eq!(x.id, y.id);
+        assert_eq!(turns.map(|it| it.clings), turned.map(|it| it.clings));
+        if let (Some(turns), Some(turned)) = (turns, turned) {
+            raise(4, apart(turns.spin, turned.spin));
+            if x.wall_anchor.is_some() && y.wall_anchor.is_some() {
+                match rolled(turns.wall_stretch, turned.wall_stretch) {
+                    Some(by) => raise(5, by),
+                    None => single += 1,
+                }
+            }
+        }
         // Far from the spoon a float resolves less.
         if x.x.iter().all(|k| k.abs() < 16.0) {
             raise(0, apart(x.x, y.x));
@@ -97,9 +134,15 @@ fn differences(a: &State, b: &State) -> ([f32; 4], usize) {
         }
     }
     let (mine, theirs) = (stuck(a), stuck(b));
-    for (pair, anchor) in &mine {
+    for (pair, [anchor, roll]) in &mine {
         match theirs.get(pair) {
-            Some(other) if aside(*anchor, *other) < 1e-5 => raise(3, aside(*anchor, *other)),
+            Some([other, stretch]) if aside(*anchor, *other) < 1e-5 => {
+                raise(3, aside(*anchor, *other));
+                match rolled(*roll, *stretch) {
+                    Some(by) => raise(5, by),
+                    None => single += 1,
+                }
+            }
             Some(_) | None => single += 1,
         }
     }
@@ -116,9 +159,8 @@ fn bodies(dispenser: &Dispenser) -> Vec<[f32; 2]> {
 
 #[test]
 fn one_substep_of_the_twin_is_one_of_flip_sim_to_float_rounding() {
-    let (mut substeps, mut single, mut largest) = (0, 0, [0.0f32; 4]);
-    for (cohesion, friction) in [(0.0, 0.5), (0.8, 0.9)] {
-        let mut dispenser = small(cohesion, friction);
+    let (mut substeps, mut single, mut largest) = (0, 0, [0.0f32; 6]);
+    for mut dispenser in [small(0.0, 0.5), small(0.8, 0.9), turning(0.0, 0.5), turning(0.8, 0.9)] {
         let bodies = bodies(&dispenser);
         let law = layout::law(&dispenser.spoon().expect("no mechanisms"));
         // In flow and shaken: 320 substeps in ten stretches over the whole motion.
@@ -126,7 +168,7 @@ fn one_substep_of_the_twin_is_one_of_flip_sim_to_float_rounding() {
             let begin = stretch * (bodies.len() - 40) / 10;
             let (mut before, mut after) = (Vec::new(), Vec::new());
             for body in &bodies[begin..begin + 32] {
-                before.push(layout::image(&dispenser.state()).expect("few grains"));
+                before.push(image(&dispenser));
                 dispenser.drive(&[*body]);
                 after.push(dispenser.state());
             }
@@ -138,10 +180,10 @@ fn one_substep_of_the_twin_is_one_of_flip_sim_to_float_rounding() {
                 return;
             };
             for (state, after) in states.iter().zip(&after) {
-                let (apart, alone) = differences(&layout::state(state), after);
+                let (apart, alone) = differences(&layout::state(kernel(&dispenser), state), after);
                 substeps += 1;
                 single += alone;
-                for k in 0..4 {
+                for k in 0..6 {
                     largest[k] = largest[k].max(apart[k]);
                 }
             }
@@ -155,6 +197,8 @@ fn one_substep_of_the_twin_is_one_of_flip_sim_to_float_rounding() {
     // looseness of 20 that turns it into a stretch.
     assert!(largest[0] < 2e-6 && largest[1] < 6e-7, "{largest:?}");
     assert!(largest[2] < 1e-5 && largest[3] < 1e-5, "{largest:?}");
+    // Spins to ten of such velocities (5/2 over a radius squared), which stretches add up.
+    assert!(largest[4] < 6e-6 && largest[5] < 1e-5, "{largest:?}");
     // Of about 900 contacts in each, fewer than one in two thousand: a rounding of 1e-6 against gaps
     // and slips of 1e-3 and more.
     assert!(single * 2 < substeps, "{single} contacts decided otherwise");
@@ -162,10 +206,15 @@ fn one_substep_of_the_twin_is_one_of_flip_sim_to_float_rounding() {
 
 #[test]
 fn the_twin_stays_beside_flip_sim_for_hundreds_of_substeps() {
-    let mut dispenser = small(0.3, 0.6);
+    for dispenser in [small(0.3, 0.6), turning(0.3, 0.6)] {
+        stays_beside(dispenser);
+    }
+}
+
+fn stays_beside(mut dispenser: Dispenser) {
     let bodies = bodies(&dispenser);
-    let law = layout::law(&dispenser.spoon().expect("no mechanisms"));
-    let start = layout::image(&dispenser.state()).expect("few grains");
+    let law = layout::law(&dispenser.spoon().expect("a card knows its mechanisms"));
+    let start = image(&dispenser);
     let lengths = [1, 25, 100, 300];
     let each: Vec<Vec<[f32; 2]>> = lengths.iter().map(|n| bodies[..*n].to_vec()).collect();
     let orders = driven(lengths.len(), &each);
@@ -175,7 +224,8 @@ fn the_twin_stays_beside_flip_sim_for_hundreds_of_substeps() {
     for (state, length) in states.iter().zip(lengths) {
         dispenser.drive(&bodies[done..length]);
         done = length;
-        let (apart, single) = differences(&layout::state(state), &dispenser.state());
+        let (apart, single) =
+            differences(&layout::state(kernel(&dispenser), state), &dispenser.state());
         println!("{length} substeps: {apart:?} diameters, {single} contacts decided otherwise");
         // A pile of grains multiplies differences from substep to substep, so the first hundred
         // are compared: in them a wrong force of a hundredth of the weight moves a grain by 0.01.
@@ -185,10 +235,10 @@ fn the_twin_stays_beside_flip_sim_for_hundreds_of_substeps() {
 
 #[test]
 fn a_whole_action_of_the_twin_pours_about_what_flip_sim_pours_and_loses_no_grain() {
-    let dispensers = [small(0.0, 0.4), small(0.5, 0.6)];
+    let dispensers = [small(0.0, 0.4), small(0.5, 0.6), turning(0.3, 0.6)];
     for mut dispenser in dispensers {
         let spoon = dispenser.spoon().expect("no mechanisms");
-        let mut image = layout::image(&dispenser.state()).expect("few grains");
+        let mut image = image(&dispenser);
         let law = layout::law(&spoon);
         let (mut pitch_deg, mut grains) = (0.0, image[0]);
         let (mut mine, mut theirs) = (0.0, 0.0);
@@ -226,7 +276,7 @@ fn a_whole_action_of_the_twin_pours_about_what_flip_sim_pours_and_loses_no_grain
 #[test]
 fn a_loose_heap_settles_on_the_twin_into_the_bed_of_flip_sim() {
     for (cohesion, friction) in [(0.0, 0.4), (0.5, 0.6)] {
-        let mut dispenser = of(Dispenser::loose, cohesion, friction);
+        let mut dispenser = of(Dispenser::loose, cohesion, friction, Extensions::default());
         let Some((state, poured)) = moved(&dispenser, Motion::Settle) else { return };
         let duration_s = dispenser.settle();
         let expected = dispenser.state();
@@ -266,7 +316,7 @@ fn grains_need_not_be_in_order_and_a_spoon_that_fell_apart_is_a_fault() {
         contacts: 0.0,
         wall_anchor: None,
     });
-    let image = layout::image(&state).expect("few grains");
+    let image = layout::image(Kernel::Base, &state).expect("few grains");
     let orders = driven(1, &[vec![[0.0, -2e-4]; 32]]);
     let Some((_, raw)) = carry_out(&[law], &[image], &orders) else { return };
     let outcome = layout::outcome(&raw.outcomes);
@@ -306,14 +356,16 @@ fn grains_with_more_touching_neighbours_than_there_is_room_for_move_like_the_oth
         with_distant(&state, 8, |_| (0..14).collect()),
     ];
     let images = [vec![state], cases.into()].concat();
-    let images: Vec<_> =
-        images.iter().map(|state| layout::image(state).expect("few grains")).collect();
+    let images: Vec<_> = images
+        .iter()
+        .map(|state| layout::image(Kernel::Base, state).expect("few grains"))
+        .collect();
     let bodies = vec![bodies(&dispenser)[..40].to_vec(); images.len()];
     let Some((states, raw)) = carry_out(&[law], &images, &driven(images.len(), &bodies)) else {
         return;
     };
     let mut after = states.iter().map(|words| {
-        let mut state = layout::state(words);
+        let mut state = layout::state(Kernel::Base, words);
         state.stuck.sort_by_key(|(pair, _)| *pair);
         state
     });

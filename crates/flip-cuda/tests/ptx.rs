@@ -10,16 +10,23 @@ use std::process::Command;
 fn the_version_is_that_of_these_kernels() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("ptx");
     let read = |name: &str| std::fs::read(folder.join(name)).ok();
-    let (Some(spoons), Some(heaps)) = (read("spoons.ptx"), read("heaps.ptx")) else {
+    let all = [read("spoons.ptx"), read("spoons_extended.ptx"), read("heaps.ptx")];
+    let [Some(spoons), Some(extended), Some(heaps)] = all else {
         return println!("skipped: the kernels are not on this machine");
     };
     let known = (
         3,
         "ad525b44b3c0ef57519300035b81aa00e7424f7703db2b4273b313b2d4408de9",
+        "f54194779439e499e78946200a5e9376c47cfbeb4b99792a6f0b4ae9f8d6bbb9",
         "6d070a855754f5285e87f1fc3af8ce8b732fb0bc8049c38aa826abc37a9e7318",
     );
-    let [spoons, heaps] = [spoons, heaps].map(|kernels| hex::encode(Sha256::digest(kernels)));
-    assert_eq!((flip_cuda::VERSION, &*spoons, &*heaps), known, "raise flip_cuda::VERSION");
+    let [spoons, extended, heaps] =
+        [spoons, extended, heaps].map(|kernels| hex::encode(Sha256::digest(kernels)));
+    assert_eq!(
+        (flip_cuda::VERSION, &*spoons, &*extended, &*heaps),
+        known,
+        "raise flip_cuda::VERSION"
+    );
 }
 
 /// Runs where `FLIP_NVCC` names a folder with the compiler, as `build_ptx.py` fetches it.

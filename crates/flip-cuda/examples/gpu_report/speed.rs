@@ -4,6 +4,7 @@ use crate::powders::{cores, filled, mixed, on_all, powder};
 use flip_core::domain::bench::Action;
 use flip_cuda::{Bed, Card, Result, Spoons};
 use flip_sim::dispense::{Dispenser, Settings};
+use flip_sim::mechanisms::Extensions;
 use std::time::Instant;
 
 /// Steps of the mixed load, the first ones not timed: a level, full spoon does nothing yet.
@@ -16,6 +17,12 @@ const COUNTS: [usize; 4] = [132, 264, 528, 1056];
 /// one likes.
 fn slow() -> Settings {
     Settings { pitch_deg_s: 0.5, ..Settings::default() }
+}
+
+/// Grains that turn and resist it.
+fn turning() -> Settings {
+    let extensions = Extensions { rotation: 1.0, rolling_friction: 0.2, ..Extensions::default() };
+    Settings { extensions, ..Settings::default() }
 }
 
 const SLOWLY: Action = Action::once(0.5, 0.0);
@@ -38,13 +45,27 @@ pub fn report(card: &Card, quick: bool) -> Result<()> {
         println!("| {n} cores | {} | {resting:.1} | {flowing:.1} | | | |", 4 * n);
     }
     let counts = if quick { &COUNTS[1..2] } else { &COUNTS[..] };
-    for &count in counts {
-        let rest = rest_on_card(card, &at_rest, count)?;
-        let Mixed { whole, kernel, per_list, faults } = mixed_on_card(card, &beds, count)?;
+    let row = |what: &str, rest: &[Dispenser], beds: &[Dispenser], count: usize| -> Result<()> {
+        let rest = rest_on_card(card, rest, count)?;
+        let Mixed { whole, kernel, per_list, faults } = mixed_on_card(card, beds, count)?;
+        let name = card.name();
         println!(
-            "| {} | {count} | {rest:.0} | {whole:.0} | {kernel:.0} | {per_list:.1} | {faults} |",
-            card.name()
+            "| {name}{what} | {count} | {rest:.0} | {whole:.0} | {kernel:.0} | {per_list:.1} | {faults} |"
         );
+        Ok(())
+    };
+    for &count in counts {
+        row("", &at_rest, &beds, count)?;
+    }
+    let beds = filled(16, &powders, &turning());
+    let at_rest = filled(4, &powders, &Settings { pitch_deg_s: 0.5, ..turning() });
+    if !quick {
+        let (resting, flowing) = on_cores(&at_rest, &beds);
+        let n = cores();
+        println!("| {n} cores, grains turn | {} | {resting:.1} | {flowing:.1} | | | |", 4 * n);
+    }
+    for &count in counts {
+        row(", grains turn", &at_rest, &beds, count)?;
     }
     Ok(())
 }

@@ -50,6 +50,30 @@ impl From<&Contact> for Strengths {
     }
 }
 
+/// Mechanisms beyond the base simulator. One of strength 0 does nothing; the equations are those of
+/// [`crate::mechanisms`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mechanisms {
+    /// Freedom of grains to turn: 0 none, 1 as for solid spheres.
+    pub freedom: f32,
+    /// Largest rolling torque over push and radius.
+    pub rolling_friction: f32,
+    /// Share of a rolling stretch, and of a turn, that one substep removes from one side.
+    pub rolling_stiffness: f32,
+    /// See there.
+    pub rolling_damping: f32,
+    /// Attraction of the spoon, diameters per substep squared.
+    pub film: f32,
+    /// The same, in addition, for a grain that clings.
+    pub cling: f32,
+    /// Gap at which both end, diameters.
+    pub film_reach: f32,
+    /// Attraction of a charged grain to a wall at contact, diameters per substep squared.
+    pub charge: f32,
+    /// Gap at which it is cut off, diameters.
+    pub charge_reach: f32,
+}
+
 /// A spoon and its powder's law, without the grains. Lengths in grain diameters and times in
 /// substeps unless a name says otherwise.
 #[derive(Debug, Clone, Copy)]
@@ -62,6 +86,8 @@ pub struct Spoon {
     pub grain: Strengths,
     /// Between a grain and the spoon.
     pub wall: Strengths,
+    /// Mechanisms beyond the base simulator, if its powder has any.
+    pub mechanisms: Option<Mechanisms>,
     /// Semi-axes of the bowl: the lower half of an ellipsoid about the origin, open at z = 0, tip
     /// towards +x.
     pub semi_axes: [f32; 3],
@@ -94,6 +120,17 @@ pub struct Grain {
     pub wall_anchor: Option<[f32; 3]>,
 }
 
+/// How a grain turns.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Turning {
+    /// Spin, radians per substep.
+    pub spin: [f32; 3],
+    /// Stretch of its rolling at the spoon since the contact stuck, radians.
+    pub wall_stretch: [f32; 3],
+    /// Whether it clings to spoons.
+    pub clings: bool,
+}
+
 /// Grains and the memory of their contacts.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct State {
@@ -102,6 +139,11 @@ pub struct State {
     /// Touching pairs by their places in `grains`, and the position of the first relative to the
     /// second where the contact stuck.
     pub stuck: Vec<([u32; 2], [f32; 3])>,
+    /// How the grains turn, in the order of `grains`; empty in the base simulator.
+    pub turning: Vec<Turning>,
+    /// Stretch of the pairs' rolling since the contact stuck, radians, in the order of `stuck`; empty
+    /// in the base simulator.
+    pub rolls: Vec<[f32; 3]>,
 }
 
 /// A motion of the spoon, then rest if any.
@@ -261,16 +303,17 @@ fn standing(kind: Kind) -> Pose {
 }
 
 impl Dispenser {
-    /// This spoon's shape and law; none if its powder has mechanisms beyond the base simulator,
-    /// which the numbers cannot express.
+    /// This spoon's shape and law; none if its powder has mechanisms other than
+    /// [`crate::mechanisms::OUTSIDE`], which the numbers cannot express.
     pub fn spoon(&self) -> Option<Spoon> {
         let law = self.law;
-        (!law.extended).then(|| Spoon {
+        self.settings.extensions.only_inside().is_empty().then(|| Spoon {
             settings: self.settings,
             law,
             drag: law.drag,
             grain: Strengths::from(&law.grain),
             wall: Strengths::from(&law.wall),
+            mechanisms: law.extended.then(|| law.mechanisms.outside()),
             semi_axes: self.bowl.semi_axes,
             grain_mg: self.grain_mg,
             substep_s: law.substep_s,
@@ -294,7 +337,22 @@ impl Dispenser {
             contacts: v[3],
             wall_anchor: (anchor[3] > 0.0).then(|| three(anchor)),
         });
-        State { grains: described.collect(), stuck: grains.stuck() }
+        let mut state = State { grains: described.collect(), ..State::default() };
+        for (ends, anchor, stretch) in grains.stuck() {
+            state.stuck.push((ends, anchor));
+            state.rolls.extend(self.law.extended.then_some(stretch));
+        }
+        if self.law.extended {
+            let turning = grains.turning().zip(&state.grains);
+            let turning = turning.map(|((spin, stretch), grain)| Turning {
+                spin: three(spin),
+                // One that has let go is forgotten at the next touch.
+                wall_stretch: grain.wall_anchor.map_or([0.0; 3], |_| three(stretch)),
+                clings: stretch[3] > 0.0,
+            });
+            state.turning = turning.collect();
+        }
+        state
     }
 
     /// Advances by one substep for each of these accelerations along x and z, diameters per substep

@@ -7,8 +7,9 @@ use super::Grains;
 
 impl Grains {
     /// Touching pairs by the grains' present places, each with the position of its first grain
-    /// relative to the second where the contact stuck.
-    pub(crate) fn stuck(&self) -> Vec<([u32; 2], [f32; 3])> {
+    /// relative to the second where the contact stuck, and the stretch of its rolling, which is zero
+    /// without mechanisms.
+    pub(crate) fn stuck(&self) -> Vec<([u32; 2], [f32; 3], [f32; 3])> {
         let pairs = &self.neighbours.pairs;
         let listed = self.listed.iter().filter(|place| **place != NEW).max();
         let mut present = vec![NEW; listed.map_or(0, |place| *place as usize + 1)];
@@ -21,7 +22,9 @@ impl Grains {
             for lane in (0..WIDTH).filter(|lane| touching >> lane & 1 == 1) {
                 let ends = [0, 1].map(|end| find(pairs.ends[end][row * WIDTH + lane]));
                 if ends.iter().all(|end| *end != NEW) {
-                    stuck.push((ends, [0, 1, 2].map(|axis| pairs.anchor[row][axis][lane])));
+                    let of = |numbers: &[[f32; WIDTH]]| [0, 1, 2].map(|k| numbers[k][lane]);
+                    let stretch = pairs.memory.get(row).map_or([0.0; 3], |it| of(it));
+                    stuck.push((ends, of(&pairs.anchor[row]), stretch));
                 }
             }
         }
@@ -32,5 +35,11 @@ impl Grains {
     /// number is 1 while it touches.
     pub(crate) fn wall_anchors(&self) -> &[Vector] {
         &self.wall_anchor[..self.n]
+    }
+
+    /// Each grain's spin and the stretch of its rolling at the wall, in the order of the centres; the
+    /// fourth number of the latter is 1 for a grain that clings to spoons.
+    pub(crate) fn turning(&self) -> impl Iterator<Item = (&Vector, &Vector)> {
+        self.spin[..self.n].iter().zip(&self.wall_stretch[..self.n])
     }
 }

@@ -19,6 +19,11 @@ impl Charge {
         Self { pull: extensions.charge as f32 * scene.bond }
     }
 
+    /// Its pull at contact, and its reach.
+    pub(super) fn numbers(&self) -> [f32; 2] {
+        [self.pull, self.reach()]
+    }
+
     /// Largest gap at which a wall acts, diameters.
     pub(super) fn reach(&self) -> f32 {
         if self.pull > 0.0 { REACH } else { 0.0 }

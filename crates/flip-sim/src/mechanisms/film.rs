@@ -30,6 +30,11 @@ impl Film {
         Self { pull: adhesion as f32 * scene.bond, cling: CLING * scene.bond, share }
     }
 
+    /// Its pull, that on a grain that clings beside it, and the reach of both.
+    pub(super) fn numbers(&self) -> [f32; 3] {
+        [self.pull, self.cling, REACH]
+    }
+
     /// 1 for a grain that clings, drawn by its id (order of pouring).
     pub(crate) fn clings(&self, id: u32) -> f32 {
         let draw = (derive(0xF11A, &[u64::from(id)]) >> 11) as f64 / (1u64 << 53) as f64;

@@ -22,6 +22,7 @@ mod vibration;
 mod tests;
 
 use super::constraints::{V3, Vector};
+use super::dispense::outside;
 use super::lanes::{Lanes, Mask, WIDTH};
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::parameters::ParameterSet;
@@ -118,11 +119,23 @@ impl Extensions {
         Ok(self)
     }
 
+    /// The names of those at work that a solver outside this crate cannot have ([`OUTSIDE`]).
+    pub fn only_inside(mut self) -> Vec<&'static str> {
+        let all = self.amplitudes().into_iter();
+        all.filter(|(name, amplitude, _)| **amplitude != 0.0 && !OUTSIDE.contains(name))
+            .map(|(name, ..)| name)
+            .collect()
+    }
+
     /// Whether every amplitude is zero.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 }
+
+/// Mechanisms whose numbers a solver outside this crate is given.
+pub const OUTSIDE: [&str; 5] =
+    ["rotation", "rolling_friction", "spoon_adhesion", "hold_up", "charge"];
 
 /// Kind of walls in a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -274,6 +287,24 @@ impl Mechanisms {
             vibration: vibration::Vibration::new(extensions, &scene),
             charge: charge::Charge::new(extensions, &scene),
             air: air::Air::new(extensions, &scene),
+        }
+    }
+
+    /// The numbers of [`OUTSIDE`].
+    pub(super) fn outside(&self) -> outside::Mechanisms {
+        let [rolling_friction, rolling_stiffness, rolling_damping] = self.rolling.numbers();
+        let [film, cling, film_reach] = self.film.numbers();
+        let [charge, charge_reach] = self.charge.numbers();
+        outside::Mechanisms {
+            freedom: self.freedom,
+            rolling_friction,
+            rolling_stiffness,
+            rolling_damping,
+            film,
+            cling,
+            film_reach,
+            charge,
+            charge_reach,
         }
     }
 

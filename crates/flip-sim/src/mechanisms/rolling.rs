@@ -35,6 +35,11 @@ impl Rolling {
         }
     }
 
+    /// Its friction, stiffness and damping.
+    pub(super) fn numbers(&self) -> [f32; 3] {
+        [self.friction, self.stiffness, self.damping]
+    }
+
     /// Torque against `turning` and the updated stretch, for contacts of this radius and share.
     #[allow(clippy::inline_always)] // See `lanes`.
     #[inline(always)]

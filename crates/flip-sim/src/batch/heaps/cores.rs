@@ -68,7 +68,7 @@ fn obeyed(heap: &mut Physical, order: &Order) -> Stand {
         contacts: 0.0,
         wall_anchor: None,
     };
-    let state = || State { grains: heap.heap().iter().map(grain).collect(), stuck: Vec::new() };
+    let state = || State { grains: heap.heap().iter().map(grain).collect(), ..State::default() };
     Stand {
         apex: heap.apex(),
         speed_rms: heap.speed_rms(),

@@ -1,0 +1,3 @@
+// The twin of spoons whose grains turn.
+#define FLIP_EXTENDED
+#include "twin.cpp"
