@@ -94,6 +94,7 @@ pub use corrections::{Correction, WithdrawalRequest};
 pub use csv_file::date::DateOrder;
 pub use csv_file::{TABLE_BYTES_MAX, table_text};
 pub use current_simulator::{CURRENT, ChosenSimulator, CurrentSimulator};
+pub use device::engine_of;
 pub use dose_list::{DoseList, DoseListRequest, ListedDose};
 pub use error::{Error, Result};
 pub use evaluations::{Evaluation, EvaluationRequest};

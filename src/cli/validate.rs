@@ -1,9 +1,11 @@
 //! `flip validate`: does the simulator obey the laws of nature? Experiments run in parallel; the
 //! document contains no times.
 
+use super::device::DeviceArguments;
 use super::failure::Failure;
 use super::table::table;
 use super::{Common, parameters};
+use crate::app::engine_of;
 use crate::telemetry;
 use flip_core::domain::FieldError;
 use flip_sim as sim;
@@ -23,12 +25,17 @@ pub(super) struct Arguments {
     /// may be repeated.
     #[arg(long, value_name = "NAME=AMPLITUDE")]
     extension: Vec<String>,
+    #[command(flatten)]
+    device: DeviceArguments,
 }
 
 /// The document of `flip validate`.
 #[derive(Debug, Serialize)]
 struct Document {
     simulator: &'static str,
+    /// The card, if one simulated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    card: Option<String>,
     #[serde(skip_serializing_if = "Extensions::is_none")]
     extensions: Extensions,
     passed: usize,
@@ -41,7 +48,17 @@ struct Document {
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
     let chosen = choose(&arguments.only)?;
     let extensions = parameters::extensions(&arguments.extension)?;
-    let mut checks = measure(&chosen, &Suite::extended(extensions));
+    let device = arguments.device.device();
+    if !device.is_cpu() {
+        refuse_on_a_card(&chosen, &arguments.only, &extensions)?;
+    }
+    let suite = Suite::extended(extensions);
+    let engine = engine_of(device)?;
+    let card = engine.as_ref().map(|engine| engine.name());
+    let mut checks = match engine {
+        None => measure(&chosen, &suite),
+        Some(engine) => measure_on(&chosen, &suite.on(engine))?,
+    };
     // A check requested by name is reported without the other checks of its experiment.
     let is_asked = |check: &Check| {
         arguments.only.is_empty() || arguments.only.iter().any(|name| name == check.name)
@@ -58,6 +75,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let simulator = sim::VERSION;
     let document = Document {
         simulator,
+        card,
         extensions,
         passed,
         known_deviations: accounted - passed,
@@ -105,6 +123,48 @@ fn measure(chosen: &[Experiment], suite: &Suite) -> Vec<Check> {
     };
     // One experiment at a time: their durations differ by orders of magnitude.
     chosen.par_iter().with_max_len(1).map(run).flatten().collect()
+}
+
+/// What a card cannot compute of what was asked for by name.
+fn refuse_on_a_card(
+    chosen: &[Experiment],
+    only: &[String],
+    extensions: &Extensions,
+) -> Result<(), FieldError> {
+    if !extensions.is_none() {
+        let advice = "`cuda` pours heaps without mechanisms: leave this or `device` out";
+        return Err(FieldError::new("extension", advice));
+    }
+    let off = chosen.iter().find(|experiment| !experiment.is_on_engines());
+    match off.filter(|_| !only.is_empty()) {
+        None => Ok(()),
+        Some(off) => {
+            let advice = format!(
+                "`cuda` cannot compute `{}`, only heaps of up to 2560 grains and doses of spoons: leave it or `device` out",
+                off.name
+            );
+            Err(FieldError::new("only", advice))
+        }
+    }
+}
+
+/// The same on an engine, as far as it can. Batches fill it, so that one experiment follows another.
+fn measure_on(chosen: &[Experiment], suite: &Suite) -> Result<Vec<Check>, Failure> {
+    let (on, off): (Vec<&Experiment>, Vec<&Experiment>) =
+        chosen.iter().partition(|experiment| experiment.is_on_engines());
+    if !off.is_empty() {
+        let names: Vec<&str> = off.iter().map(|experiment| experiment.name).collect();
+        telemetry::say(format_args!("not on a card, left out: {}", names.join(", ")));
+    }
+    let mut checks = Vec::new();
+    for (k, experiment) in on.iter().enumerate() {
+        checks.extend(experiment.run(suite));
+        if let Some(why) = suite.failed() {
+            return Err(anyhow::anyhow!("{}: {why}", experiment.name).into());
+        }
+        telemetry::say(format_args!("[{}/{}] {}", k + 1, on.len(), experiment.name));
+    }
+    Ok(checks)
 }
 
 fn text(document: &Document) -> String {
@@ -272,6 +332,7 @@ mod tests {
         };
         let document = Document {
             simulator: "pbd",
+            card: None,
             extensions: Extensions::default(),
             passed: 0,
             known_deviations: 1,

@@ -33,3 +33,19 @@ fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
         stderr(&unknown)
     );
 }
+
+#[test]
+fn what_a_card_cannot_validate_is_refused_by_name_and_without_a_card_it_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |arguments: &[&str], said: &[&str]| {
+        let output = flip(folder.path(), &[&["validate", "--device", "cuda"], arguments].concat());
+        expect_status(&output, 2);
+        let error = stderr(&output);
+        assert!(said.iter().all(|it| error.contains(it)), "{error}");
+    };
+    refused(&["--only", "free_fall"], &["only: `cuda` cannot compute `free_fall`", "leave it or"]);
+    refused(&["--extension", "rotation=1"], &["extension: `cuda`", "without mechanisms"]);
+    if flip_cuda::find_all().is_err() {
+        refused(&["--only", "rest_creep"], &["device: no graphics card", "leaving this field out"]);
+    }
+}

@@ -230,7 +230,7 @@ impl Dispenser {
     }
 
     /// Holds grains in a loose lattice over the middle of the bowl.
-    fn pour(&mut self, seed: u64) {
+    pub(super) fn pour(&mut self, seed: u64) {
         let mut rng = Pcg64Mcg::seed_from_u64(derive(seed, &[0xF111]));
         let [a, b, _] = self.bowl.semi_axes;
         let mut left = self.settings.particles;

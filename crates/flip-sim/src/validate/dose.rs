@@ -16,6 +16,7 @@
 use super::super::dispense::{Dispenser, Settings};
 use super::super::law::SUBSTEP_S;
 use super::super::scene::Mean;
+use super::engine::On;
 use super::{Check, Experiment, Suite};
 use flip_core::domain::bench::Action;
 use serde::Serialize;
@@ -133,7 +134,10 @@ impl Course {
         let spoons = |substep_s: f64| -> Vec<[f64; PROBES]> {
             (1..=SEEDS).map(|seed| self.run(suite, substep_s, seed)).collect()
         };
-        let doses = SUBSTEPS_S.map(spoons);
+        let doses = match &suite.on {
+            None => SUBSTEPS_S.map(spoons),
+            Some(on) => self.run_on(suite, on),
+        };
         let probe = |k: usize| {
             let of = doses.each_ref().map(|level| level.iter().map(|spoon| spoon[k]).collect());
             check(self.checks[k], Convergence::of(&of))
@@ -141,22 +145,55 @@ impl Course {
         (0..PROBES).map(probe).collect()
     }
 
-    /// What each probe drops into the vial, mg; NaN if the solver diverged.
-    fn run(&self, suite: &Suite, substep_s: f64, seed: u64) -> [f64; PROBES] {
+    /// A spoon without powder.
+    fn empty(&self, suite: &Suite, substep_s: f64) -> Dispenser {
         let settings = Settings { substep_s, extensions: suite.extensions, ..Settings::default() };
         let powder = suite.powder(&[("friction", self.friction)]);
-        let mut spoon = Dispenser::empty(&powder, &settings).revised(suite.revise).filled(seed);
-        let mut probe = |incline_change_deg: f64, shake_mm: f64| {
-            let strokes = (0..STROKES).map(|k| {
-                let incline_change_deg = if k == 0 { incline_change_deg } else { 0.0 };
-                spoon.step(Action::once(incline_change_deg, shake_mm)).vial_mg
-            });
-            strokes.sum()
-        };
-        let courses = [(self.onset_deg, 4.0), (0.0, 8.0), (STEEPER_DEG, 4.0), (0.0, 8.0)];
-        let doses = courses.map(|(incline_deg, shake_mm)| probe(incline_deg, shake_mm));
-        if spoon.fault().is_some() { [f64::NAN; PROBES] } else { doses }
+        Dispenser::empty(&powder, &settings).revised(suite.revise)
     }
+
+    /// The strokes of all probes, in order.
+    fn strokes(&self) -> [Action; PROBES * STROKES] {
+        let courses = [(self.onset_deg, 4.0), (0.0, 8.0), (STEEPER_DEG, 4.0), (0.0, 8.0)];
+        std::array::from_fn(|n| {
+            let (incline_deg, shake_mm) = courses[n / STROKES];
+            Action::once(if n % STROKES == 0 { incline_deg } else { 0.0 }, shake_mm)
+        })
+    }
+
+    /// What each probe drops into the vial, mg; NaN if the solver diverged.
+    fn run(&self, suite: &Suite, substep_s: f64, seed: u64) -> [f64; PROBES] {
+        let mut spoon = self.empty(suite, substep_s).filled(seed);
+        let given = self.strokes().map(|stroke| spoon.step(stroke).vial_mg);
+        if spoon.fault().is_some() { [f64::NAN; PROBES] } else { by_probe(&given) }
+    }
+
+    /// The same of all spoons side by side, by substep.
+    fn run_on(&self, suite: &Suite, on: &On) -> [Vec<[f64; PROBES]>; 3] {
+        let empty = SUBSTEPS_S.map(|substep_s| self.empty(suite, substep_s));
+        let loose = |spoon: &Dispenser, seed| {
+            let mut spoon = spoon.clone();
+            spoon.pour(seed);
+            spoon
+        };
+        let spoons: Vec<Dispenser> = empty
+            .iter()
+            .flat_map(|spoon| (1..=SEEDS).map(move |seed| loose(spoon, seed)))
+            .collect();
+        let given = on.doses(&spoons, &self.strokes());
+        let probes = |given: &Option<Vec<f64>>| {
+            given.as_ref().map_or([f64::NAN; PROBES], |given| by_probe(given))
+        };
+        std::array::from_fn(|level| {
+            let first = level * SEEDS as usize;
+            given[first..first + SEEDS as usize].iter().map(probes).collect()
+        })
+    }
+}
+
+/// What each probe gave, from its strokes.
+fn by_probe(given: &[f64]) -> [f64; PROBES] {
+    std::array::from_fn(|k| given[k * STROKES..(k + 1) * STROKES].iter().sum())
 }
 
 impl Convergence {

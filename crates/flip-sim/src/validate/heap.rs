@@ -1,5 +1,6 @@
 //! The angle of repose as a property of the powder, and heaps at rest.
 
+use super::super::batch::heaps::Wanted;
 use super::super::law::{BOND_PER_COHESION, DIAMETER_REFERENCE_MM, SUBSTEP_S};
 use super::super::repose::{Repose, Settings};
 use super::super::scene::Mean;
@@ -59,7 +60,13 @@ fn heaps(
     settings: &Settings,
     seeds: u64,
 ) -> Vec<Option<Repose>> {
-    (1..=seeds).map(|seed| suite.heap(powder, settings, seed).ok()).collect()
+    match &suite.on {
+        None => (1..=seeds).map(|seed| suite.heap(powder, settings, seed).ok()).collect(),
+        Some(on) => {
+            let wanted = |seed| Wanted { set: *powder, settings: *settings, seed };
+            on.heaps(&(1..=seeds).map(wanted).collect::<Vec<_>>())
+        }
+    }
 }
 
 /// Mean tip angle.

@@ -23,6 +23,7 @@
 mod collapse;
 mod discharge;
 mod dose;
+mod engine;
 mod heap;
 mod packing;
 mod rotation;
@@ -171,6 +172,8 @@ pub struct Suite {
     extensions: Extensions,
     /// Applied to every law used by an experiment, to inject a fault that a check must detect.
     revise: fn(Law) -> Law,
+    /// What computes heaps and spoons, if not the caller's thread.
+    on: Option<engine::On>,
 }
 
 impl Default for Suite {
@@ -182,7 +185,8 @@ impl Default for Suite {
 impl Suite {
     /// The same experiments with mechanisms added to the base simulator.
     pub fn extended(extensions: Extensions) -> Self {
-        Self { powder: ParameterSet::default(), extensions, revise: std::convert::identity }
+        let revise = std::convert::identity;
+        Self { powder: ParameterSet::default(), extensions, revise, on: None }
     }
 
     /// The same experiments under modified physics.

@@ -1,0 +1,181 @@
+//! The part of the suite that an engine of batches computes: heaps, and doses of spoons.
+
+use super::super::batch::heaps::{Wanted, pour};
+use super::super::batch::{Engine, Failed, Motion, Stand};
+use super::super::dispense::Dispenser;
+use super::super::repose::{Refusal, Repose};
+use super::{Experiment, Suite};
+use flip_core::domain::bench::Action;
+use std::ops::ControlFlow;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Experiments of nothing but heaps of one size and full spoons; the scenes of the others are not on a
+/// card, or their heaps are larger than one has room for.
+const ON_ENGINES: [&str; 9] = [
+    "dose_free_flowing",
+    "dose_frictional",
+    "repose_substep",
+    "repose_funnel",
+    "repose_friction",
+    "repose_cohesion",
+    "repose_base_friction",
+    "rest_free_flowing",
+    "rest_cohesive",
+];
+
+/// An engine, and why it failed if it did.
+#[derive(Clone)]
+pub(super) struct On {
+    engine: Arc<dyn Engine>,
+    failed: Arc<Mutex<Option<String>>>,
+}
+
+impl std::fmt::Debug for On {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.engine.name())
+    }
+}
+
+impl Suite {
+    /// The same experiments on an engine; only those that [`Experiment::is_on_engines`] may be run.
+    #[must_use]
+    pub fn on(self, engine: Arc<dyn Engine>) -> Self {
+        Self { on: Some(On { engine, failed: Arc::default() }), ..self }
+    }
+
+    /// Why the engine failed, if it did. What was measured then is no number.
+    pub fn failed(&self) -> Option<String> {
+        let on = self.on.as_ref()?;
+        on.failed.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Experiment {
+    /// Whether an engine of batches can compute it.
+    pub fn is_on_engines(&self) -> bool {
+        ON_ENGINES.contains(&self.name)
+    }
+}
+
+impl On {
+    /// Notes a failure.
+    fn given<T>(&self, result: Result<T, Failed>) -> Option<T> {
+        let note = |Failed(why): Failed| {
+            self.failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(why);
+        };
+        result.map_err(note).ok()
+    }
+
+    /// These heaps, side by side; none where one has no angle, or the engine failed.
+    pub(super) fn heaps(&self, wanted: &[Wanted]) -> Vec<Option<Repose>> {
+        let mut heaps = vec![None; wanted.len()];
+        let mut each = |k: usize, heap: Result<Repose, Refusal>| {
+            heaps[k] = heap.ok();
+            ControlFlow::Continue(())
+        };
+        let places = self.engine.places().min(wanted.len());
+        let made = self.engine.heaps(places).and_then(|made| {
+            let mut made = made.ok_or_else(|| Failed("it pours no heaps".to_owned()))?;
+            pour(&mut *made, wanted, &mut each)
+        });
+        self.given(made);
+        heaps
+    }
+
+    /// What each of these spoons, whose powder has yet to fall, gives in each of these actions, mg;
+    /// none where the solver diverged, or the engine failed.
+    pub(super) fn doses(&self, loose: &[Dispenser], actions: &[Action]) -> Vec<Option<Vec<f64>>> {
+        let made = self.given(self.masses(loose, actions));
+        let Some(masses) = made else { return vec![None; loose.len()] };
+        let of = |k: usize| {
+            let stands = masses.iter().map(|all| &all[k]);
+            let given = stands.map(|it| it.fault.is_none().then_some(it.vial_mg));
+            let given: Vec<f64> = given.collect::<Option<_>>()?;
+            Some(given.windows(2).map(|pair| pair[1] - pair[0]).collect())
+        };
+        (0..loose.len()).map(of).collect()
+    }
+
+    /// How the spoons stand at rest, and after each action.
+    fn masses(&self, loose: &[Dispenser], actions: &[Action]) -> Result<Vec<Vec<Stand>>, Failed> {
+        let mut batch = self.engine.batch(loose.len())?;
+        batch.fill(&loose.iter().enumerate().collect::<Vec<_>>())?;
+        let motions = [Motion::Settle].into_iter().chain(actions.iter().copied().map(Motion::Act));
+        let each = |motion| {
+            let all: Vec<_> = (0..loose.len()).map(|place| (place, motion)).collect();
+            batch.step(&all)
+        };
+        motions.map(each).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::batch::{Batch, Cores};
+    use super::super::super::{dispense, repose};
+    use super::super::experiments;
+    use super::*;
+
+    fn named(name: &str) -> Experiment {
+        experiments().into_iter().find(|it| it.name == name).unwrap()
+    }
+
+    #[test]
+    fn on_the_cores_behind_the_interface_heaps_and_spoons_are_those_of_the_suite() {
+        let usual = Suite::default();
+        let on = Suite::default().on(Arc::new(Cores)).on.unwrap();
+        let (set, settings) = (usual.powder(&[]), repose::Settings::with_particles(120));
+        let wanted = |seed| Wanted { set, settings, seed };
+        let expected: Vec<_> = [1, 2, 3].map(|seed| usual.heap(&set, &settings, seed).ok()).into();
+        assert_eq!(on.heaps(&[1, 2, 3].map(wanted)), expected);
+
+        let settings = dispense::Settings {
+            particles: 200,
+            semi_axes_mm: [2.4, 1.7, 1.0],
+            ..dispense::Settings::default()
+        };
+        let spoons = [3, 4].map(|seed| Dispenser::loose(&set, &settings, seed));
+        let actions = [Action::once(8.0, 4.0), Action::once(16.0, 8.0), Action::once(0.0, 8.0)];
+        let given = on.doses(&spoons, &actions);
+        for (mut spoon, given) in spoons.into_iter().zip(given) {
+            spoon.settle();
+            let given = given.unwrap();
+            let expected = actions.map(|action| spoon.step(action).vial_mg);
+            assert!(expected.iter().sum::<f64>() > 0.0, "nothing was poured");
+            let apart = given.iter().zip(expected).map(|(a, b)| (a - b).abs());
+            assert!(apart.fold(0.0, f64::max) < 1e-9);
+        }
+    }
+
+    /// An engine that is lost when it is asked for anything.
+    struct Lost;
+
+    impl Engine for Lost {
+        fn name(&self) -> String {
+            "lost".to_owned()
+        }
+        fn places(&self) -> usize {
+            4
+        }
+        fn batch(&self, _: usize) -> Result<Box<dyn Batch>, Failed> {
+            Err(Failed("it was taken away".to_owned()))
+        }
+    }
+
+    #[test]
+    fn an_engine_that_fails_says_so_and_passes_no_check() {
+        for name in ["dose_free_flowing", "rest_free_flowing"] {
+            let suite = Suite::default().on(Arc::new(Lost));
+            let checks = named(name).run(&suite);
+            assert!(checks.iter().all(|check| !check.is_accounted_for()), "{checks:?}");
+            assert!(suite.failed().is_some());
+        }
+    }
+
+    #[test]
+    fn every_experiment_of_an_engine_exists() {
+        let all = experiments();
+        let there: Vec<_> = all.iter().filter(|it| it.is_on_engines()).collect();
+        assert_eq!(there.len(), ON_ENGINES.len());
+    }
+}
