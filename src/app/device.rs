@@ -1,32 +1,15 @@
 //! What jobs may be asked to compute on.
 
 use super::{App, Result};
-use crate::jobs::{AllCards, Cards};
 use flip_core::domain::FieldError;
 use flip_core::domain::device::Device;
 use flip_core::domain::job::JobKind;
-use flip_sim::batch::Engine;
 use flip_store::now;
 use flip_store::workers::Worker;
-use std::sync::Arc;
 
 /// A worker that was not heard of for so long is not counted on, ms: it says at least twice in this time
 /// that it is there.
 const SILENT_MS: i64 = 20_000;
-
-/// This computer's cards, for what is computed without a job; none for the processor.
-///
-/// # Errors
-/// `device`: what was found instead of a card, and what to do.
-pub fn engine_of(device: Device) -> std::result::Result<Option<Arc<dyn Engine>>, FieldError> {
-    match device {
-        Device::Cpu => Ok(None),
-        Device::Cuda => AllCards::default().open().map(Some).map_err(|found| {
-            let advice = ", by leaving this field out";
-            FieldError::new("device", format!("no graphics card can be used: {found}{advice}"))
-        }),
-    }
-}
 
 impl App {
     /// Refuses a device on which nobody would compute a job of this kind.

@@ -78,7 +78,9 @@ pub use crate::jobs::film::{FilmHead, FilmResult, HeapHead, HeapRing, StepSeen};
 pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
 pub use crate::jobs::train::{Gradients, Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
-pub use crate::jobs::{Conditions, Crew, Functions, Workers, compute_on, give_way_to_the_bench};
+pub use crate::jobs::{
+    Conditions, Crew, Functions, Workers, compute_on, give_way_to_the_bench, local_engine,
+};
 pub(crate) use agent::agent;
 pub use asked::asked_after;
 pub use audit_search::{AUDIT_CSV_HEADER, AuditAsked, audit_csv};
@@ -94,7 +96,6 @@ pub use corrections::{Correction, WithdrawalRequest};
 pub use csv_file::date::DateOrder;
 pub use csv_file::{TABLE_BYTES_MAX, table_text};
 pub use current_simulator::{CURRENT, ChosenSimulator, CurrentSimulator};
-pub use device::engine_of;
 pub use dose_list::{DoseList, DoseListRequest, ListedDose};
 pub use error::{Error, Result};
 pub use evaluations::{Evaluation, EvaluationRequest};

@@ -5,7 +5,7 @@ use super::device::DeviceArguments;
 use super::failure::Failure;
 use super::table::table;
 use super::{Common, parameters};
-use crate::app::engine_of;
+use crate::app::local_engine;
 use crate::telemetry;
 use flip_core::domain::FieldError;
 use flip_sim as sim;
@@ -53,7 +53,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
         refuse_on_a_card(&chosen, &arguments.only, &extensions)?;
     }
     let suite = Suite::extended(extensions);
-    let engine = engine_of(device)?;
+    let engine = local_engine(device)?;
     let card = engine.as_ref().map(|engine| engine.name());
     let mut checks = match engine {
         None => measure(&chosen, &suite),

@@ -127,6 +127,17 @@ pub(super) fn engine_of(
     }
 }
 
+/// This computer's cards, for what is computed without a job; none for the processor.
+///
+/// # Errors
+/// `device`: what was found instead of a card, and what to do.
+pub fn local_engine(device: Device) -> Result<Option<Arc<dyn Engine>>, FieldError> {
+    engine_of(&AllCards::default(), device).map_err(|found| {
+        let advice = format!("no graphics card can be used: {found}, by leaving this field out");
+        FieldError::new("device", advice)
+    })
+}
+
 /// Weighs doses side by side on an engine.
 pub struct SideBySide(pub Arc<dyn Engine>);
 
