@@ -1,13 +1,17 @@
 //! `flip observe`: experiments other than the heap, repeated over seeds in parallel.
 
 use super::calibrate::{mean, spread};
+use super::device::DeviceArguments;
 use super::failure::Failure;
 use super::table::table;
 use super::{Common, parameters};
+use crate::app::local_engine;
 use flip_core::domain::FieldError;
 use flip_core::domain::observable::{Observable, Observation};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
+use flip_sim::batch::Failed;
+use flip_sim::repose::Refusal;
 use flip_sim::{self as sim, observe};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -29,6 +33,8 @@ pub(super) struct Arguments {
     repeats: u32,
     #[command(flatten)]
     parameters: parameters::Flags,
+    #[command(flatten)]
+    device: DeviceArguments,
 }
 
 /// The document of `flip observe`.
@@ -37,6 +43,9 @@ struct Document {
     parameters: ParameterSet,
     seed: u64,
     simulator: &'static str,
+    /// The card, if one simulated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    card: Option<String>,
     observed: Vec<Observed>,
 }
 
@@ -63,23 +72,40 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     }
     let experiments: Vec<Observable> =
         arguments.experiments.iter().map(|text| observable(text)).collect::<Result<_, _>>()?;
-    let observed = experiments
-        .iter()
-        .map(|observable| simulate(observable, &set, common.seed, arguments.repeats));
-    let document = Document {
-        parameters: set,
-        seed: common.seed,
-        simulator: sim::VERSION,
-        observed: observed.collect(),
+    let device = arguments.device.device();
+    let off = experiments.iter().find(|it| !device.is_cpu() && !observe::is_on_engines(it));
+    if let Some(off) = off {
+        let advice = format!(
+            "`cuda` cannot simulate `{}`, only `shake_mass` and `pile_height`: leave it or `device` out",
+            off.kind()
+        );
+        return Err(FieldError::new("experiments", advice).into());
+    }
+    let engine = local_engine(device)?;
+    let seeds: Vec<u64> =
+        (0..u64::from(arguments.repeats)).map(|repeat| derive(common.seed, &[repeat])).collect();
+    let simulated = |observable: &Observable| -> Result<Observed, Failure> {
+        let outcomes = match &engine {
+            None => {
+                seeds.par_iter().map(|seed| observe::observe(observable, &set, *seed)).collect()
+            }
+            Some(engine) => observe::observe_on(&**engine, observable, &set, &seeds)
+                .map_err(|Failed(why)| anyhow::anyhow!(why))?,
+        };
+        Ok(summed_up(observable, &set, outcomes))
     };
+    let observed = experiments.iter().map(simulated).collect::<Result<_, _>>()?;
+    let card = engine.as_ref().map(|engine| engine.name());
+    let document =
+        Document { parameters: set, seed: common.seed, simulator: sim::VERSION, card, observed };
     common.print(&document, || text(&document))
 }
 
-fn simulate(observable: &Observable, set: &ParameterSet, seed: u64, repeats: u32) -> Observed {
-    let outcomes: Vec<_> = (0..repeats)
-        .into_par_iter()
-        .map(|repeat| observe::observe(observable, set, derive(seed, &[u64::from(repeat)])))
-        .collect();
+fn summed_up(
+    observable: &Observable,
+    set: &ParameterSet,
+    outcomes: Vec<Result<f64, Refusal>>,
+) -> Observed {
     let mut refusals = Vec::new();
     let mut values = Vec::new();
     for outcome in outcomes {

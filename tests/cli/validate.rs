@@ -1,4 +1,4 @@
-//! `flip validate`.
+//! `flip validate`, and what it and `flip observe` compute on a card.
 
 use crate::harness::{document, expect_status, flip, stderr};
 
@@ -35,17 +35,29 @@ fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
 }
 
 #[test]
-fn what_a_card_cannot_validate_is_refused_by_name_and_without_a_card_it_says_so() {
+fn what_a_card_cannot_compute_is_refused_by_name_and_without_a_card_it_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let refused = |arguments: &[&str], said: &[&str]| {
-        let output = flip(folder.path(), &[&["validate", "--device", "cuda"], arguments].concat());
+        let output = flip(folder.path(), &[arguments, &["--device", "cuda"]].concat());
         expect_status(&output, 2);
         let error = stderr(&output);
         assert!(said.iter().all(|it| error.contains(it)), "{error}");
     };
-    refused(&["--only", "free_fall"], &["only: `cuda` cannot compute `free_fall`", "leave it or"]);
-    refused(&["--extension", "rotation=1"], &["extension: `cuda`", "without mechanisms"]);
+    refused(
+        &["validate", "--only", "free_fall"],
+        &["only: `cuda` cannot compute `free_fall`", "leave it or"],
+    );
+    refused(
+        &["validate", "--extension", "rotation=1"],
+        &["extension: `cuda`", "without mechanisms"],
+    );
+    refused(
+        &["observe", "shake_mass:pitch_deg=30,shake_mm=4", "drained_angle"],
+        &["experiments: `cuda` cannot simulate `drained_angle`", "leave it or"],
+    );
     if flip_cuda::find_all().is_err() {
-        refused(&["--only", "rest_creep"], &["device: no graphics card", "leaving this field out"]);
+        let said = ["device: no graphics card", "leaving this field out"];
+        refused(&["validate", "--only", "rest_creep"], &said);
+        refused(&["observe", "shake_mass:pitch_deg=30,shake_mm=4"], &said);
     }
 }

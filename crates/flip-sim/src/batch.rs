@@ -180,6 +180,32 @@ impl Filled for Dispenser {
     }
 }
 
+/// Spoons whose powder has yet to fall: how each stands at rest, and after each of these motions, which
+/// all carry out together. By spoon.
+///
+/// # Errors
+/// As [`Batch::step`].
+pub fn in_step(
+    engine: &dyn Engine,
+    loose: &[Dispenser],
+    motions: &[Motion],
+) -> Result<Vec<Vec<Stand>>, Failed> {
+    let mut stands = Vec::with_capacity(loose.len());
+    for some in loose.chunks(engine.places().max(1)) {
+        let mut batch = engine.batch(some.len())?;
+        batch.fill(&some.iter().enumerate().collect::<Vec<_>>())?;
+        let mut of_each = vec![Vec::with_capacity(motions.len() + 1); some.len()];
+        for motion in [Motion::Settle].iter().chain(motions) {
+            let all: Vec<_> = (0..some.len()).map(|place| (place, *motion)).collect();
+            for (stands, stand) in of_each.iter_mut().zip(batch.step(&all)?) {
+                stands.push(stand);
+            }
+        }
+        stands.extend(of_each);
+    }
+    Ok(stands)
+}
+
 /// The cores of this machine.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Cores;

@@ -13,15 +13,18 @@
 //!
 //! m is the mass of a grain, g = gravity_scale * 9.81 m/s^2.
 
+use super::batch::heaps::{Wanted, pour};
+use super::batch::{Engine, Failed, Motion, Stand, in_step};
 use super::cup;
 use super::directions::{DIRECTIONS, directions};
 use super::dispense::{self, Dispenser};
 use super::law::GRAVITY;
-use super::repose::{self, Refusal};
+use super::repose::{self, Refusal, Repose};
 use flip_core::domain::bench::{Action, PitchLimits};
 use flip_core::domain::conditions::Patch;
 use flip_core::domain::observable::Observable;
 use flip_core::domain::parameters::ParameterSet;
+use std::ops::ControlFlow;
 
 /// Number of inputs an observable depends on.
 pub const NUMBERS: usize = DIRECTIONS + 2;
@@ -68,13 +71,76 @@ pub fn observe_under(
         }
         Observable::DrainedAngle {} => cup::drained_deg(set, seed),
         Observable::PileHeight { base_diameter_mm, fall_mm } => {
-            let default = repose::Settings::default();
-            let funnel_clearance_diameters =
-                2.0 * default.base_radius_diameters * fall_mm / base_diameter_mm;
-            let settings = repose::Settings { funnel_clearance_diameters, ..default };
-            Ok(repose::repose(set, &settings, seed)?.tip_deg)
+            Ok(repose::repose(set, &heap(base_diameter_mm, fall_mm), seed)?.tip_deg)
         }
     }
+}
+
+/// The heap on such a base, poured from such a height.
+fn heap(base_diameter_mm: f64, fall_mm: f64) -> repose::Settings {
+    let default = repose::Settings::default();
+    let funnel_clearance_diameters =
+        2.0 * default.base_radius_diameters * fall_mm / base_diameter_mm;
+    repose::Settings { funnel_clearance_diameters, ..default }
+}
+
+/// Whether an engine of batches can simulate it: spoons and heaps, but no cups.
+pub fn is_on_engines(observable: &Observable) -> bool {
+    matches!(observable, Observable::ShakeMass { .. } | Observable::PileHeight { .. })
+}
+
+/// The same as [`observe`] with each of these seeds, side by side on an engine.
+///
+/// # Errors
+/// The engine failed, or the observable [is not on engines](is_on_engines).
+pub fn observe_on(
+    engine: &dyn Engine,
+    observable: &Observable,
+    set: &ParameterSet,
+    seeds: &[u64],
+) -> Result<Vec<Result<f64, Refusal>>, Failed> {
+    match *observable {
+        Observable::ShakeMass { pitch_deg, shake_mm } => {
+            let settings = shaken(&Patch::default());
+            let loose = |seed: &u64| Dispenser::loose(set, &settings, *seed);
+            let loose: Vec<Dispenser> = seeds.iter().map(loose).collect();
+            let shake = Motion::Act(Action::once(0.0, shake_mm));
+            let motions: Vec<Motion> = [Motion::Act(Action::once(pitch_deg, 0.0))]
+                .into_iter()
+                .chain((0..SHAKES).map(|_| shake))
+                .collect();
+            let stands = in_step(engine, &loose, &motions)?;
+            Ok(stands.iter().map(|stands| mean_of_shakes(set, stands)).collect())
+        }
+        Observable::PileHeight { base_diameter_mm, fall_mm } => {
+            let settings = heap(base_diameter_mm, fall_mm);
+            let wanted = |seed: &u64| Wanted { set: *set, settings, seed: *seed };
+            let wanted: Vec<Wanted> = seeds.iter().map(wanted).collect();
+            let none = || Failed(format!("{} pours no heaps", engine.name()));
+            let mut heaps = engine.heaps(engine.places().min(wanted.len()))?.ok_or_else(none)?;
+            let mut angles = vec![None; wanted.len()];
+            let mut each = |k: usize, heap: Result<Repose, Refusal>| {
+                angles[k] = Some(heap.map(|heap| heap.tip_deg));
+                ControlFlow::Continue(())
+            };
+            pour(&mut *heaps, &wanted, &mut each)?;
+            Ok(angles.into_iter().flatten().collect())
+        }
+        Observable::FlowTime { .. } | Observable::DrainedAngle {} => {
+            Err(Failed(format!("{} empties no cups", engine.name())))
+        }
+    }
+}
+
+/// The reduced number of a spoon that has stood so: at rest, pitched, and after each shake.
+fn mean_of_shakes(set: &ParameterSet, stands: &[Stand]) -> Result<f64, Refusal> {
+    if let Some(it) = stands.iter().find(|it| it.fault.is_some()) {
+        let cause = it.fault.clone().unwrap_or_default();
+        return Err(Refusal::Diverged { at_s: it.duration_s, cause });
+    }
+    let fallen_mg = |it: &Stand| it.vial_mg + it.spilled_mg;
+    let mg = fallen_mg(&stands[stands.len() - 1]) - fallen_mg(&stands[1]);
+    Ok(libm::log1p(mg * 1e3 / set.particle_mass_ug() / f64::from(SHAKES)))
 }
 
 /// Converts a reduced number of a set to the observable's unit.
@@ -112,13 +178,7 @@ pub fn shakes(
     count: u32,
     seed: u64,
 ) -> Result<Vec<f64>, Refusal> {
-    let usual = dispense::Settings::default();
-    let settings = dispense::Settings {
-        pitch: PitchLimits { lower_deg: 0.0, upper_deg: 90.0 },
-        extensions: usual.extensions.patched(patch).unwrap_or(usual.extensions),
-        ..usual
-    };
-    let mut spoon = Dispenser::new(&patch.powder(set), &settings, seed);
+    let mut spoon = Dispenser::new(&patch.powder(set), &shaken(patch), seed);
     let mut act = |incline_change_deg, shake_mm| {
         let poured = spoon.step(Action::once(incline_change_deg, shake_mm));
         match spoon.fault() {
@@ -132,8 +192,19 @@ pub fn shakes(
     (0..count).map(|_| act(0.0, shake_mm)).collect()
 }
 
+/// A spoon that may be pitched as far as any.
+fn shaken(patch: &Patch) -> dispense::Settings {
+    let usual = dispense::Settings::default();
+    dispense::Settings {
+        pitch: PitchLimits { lower_deg: 0.0, upper_deg: 90.0 },
+        extensions: usual.extensions.patched(patch).unwrap_or(usual.extensions),
+        ..usual
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use super::super::batch::Cores;
     use super::*;
 
     fn set(changes: &[(&str, f64)]) -> ParameterSet {
@@ -171,6 +242,25 @@ mod tests {
         );
         let offset = 1.6 - small * (2.6 - 1.6) / (large - small);
         assert!((0.8..2.4).contains(&(offset / 0.27)), "{offset}");
+    }
+
+    #[test]
+    fn on_the_cores_behind_the_interface_of_engines_spoons_and_heaps_show_the_same() {
+        let set = set(&[("friction", 0.3)]);
+        let shake = Observable::ShakeMass { pitch_deg: 20.0, shake_mm: 8.0 };
+        let pile = Observable::PileHeight { base_diameter_mm: 40.0, fall_mm: 5.0 };
+        for observable in [shake, pile] {
+            let seeds = [1, 2];
+            let expected = seeds.map(|seed| observe(&observable, &set, seed).unwrap());
+            let found = observe_on(&Cores, &observable, &set, &seeds).unwrap();
+            for (found, expected) in found.into_iter().zip(expected) {
+                let found = found.unwrap();
+                assert!(expected > 0.0 && (found - expected).abs() < 1e-9, "{observable:?}");
+            }
+        }
+        let drained = Observable::DrainedAngle {};
+        assert!(!is_on_engines(&drained) && is_on_engines(&shake) && is_on_engines(&pile));
+        assert!(observe_on(&Cores, &drained, &set, &[1]).is_err());
     }
 
     #[test]

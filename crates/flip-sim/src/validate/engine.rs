@@ -1,7 +1,7 @@
 //! The part of the suite that an engine of batches computes: heaps, and doses of spoons.
 
 use super::super::batch::heaps::{Wanted, pour};
-use super::super::batch::{Engine, Failed, Motion, Stand};
+use super::super::batch::{Engine, Failed, Motion, Stand, in_step};
 use super::super::dispense::Dispenser;
 use super::super::repose::{Refusal, Repose};
 use super::{Experiment, Suite};
@@ -85,27 +85,15 @@ impl On {
     /// What each of these spoons, whose powder has yet to fall, gives in each of these actions, mg;
     /// none where the solver diverged, or the engine failed.
     pub(super) fn doses(&self, loose: &[Dispenser], actions: &[Action]) -> Vec<Option<Vec<f64>>> {
-        let made = self.given(self.masses(loose, actions));
-        let Some(masses) = made else { return vec![None; loose.len()] };
-        let of = |k: usize| {
-            let stands = masses.iter().map(|all| &all[k]);
-            let given = stands.map(|it| it.fault.is_none().then_some(it.vial_mg));
-            let given: Vec<f64> = given.collect::<Option<_>>()?;
-            Some(given.windows(2).map(|pair| pair[1] - pair[0]).collect())
+        let motions: Vec<Motion> = actions.iter().copied().map(Motion::Act).collect();
+        let stands = self.given(in_step(&*self.engine, loose, &motions));
+        let Some(stands) = stands else { return vec![None; loose.len()] };
+        let given = |stands: Vec<Stand>| {
+            let masses = stands.iter().map(|it| it.fault.is_none().then_some(it.vial_mg));
+            let masses: Vec<f64> = masses.collect::<Option<_>>()?;
+            Some(masses.windows(2).map(|pair| pair[1] - pair[0]).collect())
         };
-        (0..loose.len()).map(of).collect()
-    }
-
-    /// How the spoons stand at rest, and after each action.
-    fn masses(&self, loose: &[Dispenser], actions: &[Action]) -> Result<Vec<Vec<Stand>>, Failed> {
-        let mut batch = self.engine.batch(loose.len())?;
-        batch.fill(&loose.iter().enumerate().collect::<Vec<_>>())?;
-        let motions = [Motion::Settle].into_iter().chain(actions.iter().copied().map(Motion::Act));
-        let each = |motion| {
-            let all: Vec<_> = (0..loose.len()).map(|place| (place, motion)).collect();
-            batch.step(&all)
-        };
-        motions.map(each).collect()
+        stands.into_iter().map(given).collect()
     }
 }
 
