@@ -15,7 +15,7 @@ use flip_core::domain::device::Device;
 use flip_cuda::{Card, GRAINS_MAX};
 use flip_learn::calibrate;
 use flip_learn::train::evaluate::Dose;
-use flip_sim::batch::heaps::{Wanted, pour};
+use flip_sim::batch::heaps::{Wanted, pour_on};
 use flip_sim::batch::{Engine, Failed, Place, Several, side_by_side};
 use flip_sim::dispense;
 use flip_sim::mechanisms::OUTSIDE;
@@ -198,7 +198,6 @@ impl Runner<HeapExperiment, Result<Repose, Refusal>> for HeapsByCard {
             Wanted { set, settings, seed }
         };
         let wanted: Vec<Wanted> = experiments.iter().map(wanted).collect();
-        let places = self.card.places().min(wanted.len());
         let begun = Instant::now();
         let mut ended = 0;
         // They end together: each has its share of the time.
@@ -207,11 +206,7 @@ impl Runner<HeapExperiment, Result<Repose, Refusal>> for HeapsByCard {
             let seconds = begun.elapsed().as_secs_f64() / f64::from(ended);
             each(n, Run { outcome, seconds })
         };
-        let ran = self.card.heaps(places).and_then(|heaps| {
-            let mut heaps = heaps.ok_or_else(|| Failed("it pours no heaps".to_owned()))?;
-            pour(&mut *heaps, &wanted, &mut each)
-        });
-        if let Err(Failed(why)) = ran {
+        if let Err(Failed(why)) = pour_on(&*self.card, &wanted, &mut each) {
             *self.failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(why);
         }
     }

@@ -13,7 +13,7 @@
 //!
 //! m is the mass of a grain, g = gravity_scale * 9.81 m/s^2.
 
-use super::batch::heaps::{Wanted, pour};
+use super::batch::heaps::{Wanted, pour_on};
 use super::batch::{Engine, Failed, Motion, Stand, in_step};
 use super::cup;
 use super::directions::{DIRECTIONS, directions};
@@ -116,14 +116,12 @@ pub fn observe_on(
             let settings = heap(base_diameter_mm, fall_mm);
             let wanted = |seed: &u64| Wanted { set: *set, settings, seed: *seed };
             let wanted: Vec<Wanted> = seeds.iter().map(wanted).collect();
-            let none = || Failed(format!("{} pours no heaps", engine.name()));
-            let mut heaps = engine.heaps(engine.places().min(wanted.len()))?.ok_or_else(none)?;
             let mut angles = vec![None; wanted.len()];
             let mut each = |k: usize, heap: Result<Repose, Refusal>| {
                 angles[k] = Some(heap.map(|heap| heap.tip_deg));
                 ControlFlow::Continue(())
             };
-            pour(&mut *heaps, &wanted, &mut each)?;
+            pour_on(engine, &wanted, &mut each)?;
             Ok(angles.into_iter().flatten().collect())
         }
         Observable::FlowTime { .. } | Observable::DrainedAngle {} => {

@@ -147,6 +147,23 @@ pub trait Heaps: Send {
     fn carry_out(&mut self, orders: &[(usize, Order)]) -> Result<Vec<Stand>, Failed>;
 }
 
+/// Pours heaps on an engine, with as many places as are of use; `each` is as for [`pour`].
+///
+/// # Errors
+/// The engine pours no heaps, or failed.
+///
+/// # Panics
+/// As [`pour`].
+pub fn pour_on(
+    engine: &dyn super::Engine,
+    wanted: &[Wanted],
+    each: &mut (dyn FnMut(usize, Result<Repose, Refusal>) -> ControlFlow<()> + Send),
+) -> Result<(), Failed> {
+    let heaps = engine.heaps(engine.places().min(wanted.len()))?;
+    let none = || Failed(format!("{} pours no heaps", engine.name()));
+    pour(&mut *heaps.ok_or_else(none)?, wanted, each)
+}
+
 /// Pours heaps, as many at once as there are places. `each` receives what came of each as soon as it is
 /// known: in any order, but one at a time. After `Break` no further heap begins.
 ///

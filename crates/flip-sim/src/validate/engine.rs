@@ -1,6 +1,6 @@
 //! The part of the suite that an engine of batches computes: heaps, and doses of spoons.
 
-use super::super::batch::heaps::{Wanted, pour};
+use super::super::batch::heaps::{Wanted, pour_on};
 use super::super::batch::{Engine, Failed, Motion, Stand, in_step};
 use super::super::dispense::Dispenser;
 use super::super::repose::{Refusal, Repose};
@@ -73,12 +73,7 @@ impl On {
             heaps[k] = heap.ok();
             ControlFlow::Continue(())
         };
-        let places = self.engine.places().min(wanted.len());
-        let made = self.engine.heaps(places).and_then(|made| {
-            let mut made = made.ok_or_else(|| Failed("it pours no heaps".to_owned()))?;
-            pour(&mut *made, wanted, &mut each)
-        });
-        self.given(made);
+        self.given(pour_on(&*self.engine, wanted, &mut each));
         heaps
     }
 
