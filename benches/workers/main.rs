@@ -17,6 +17,7 @@ use flip_store::ledger::Claim;
 use flip_store::portions::{NewPortion, Stands};
 use flip_store::{Store, now};
 use flip_testing::Cluster;
+use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
@@ -97,9 +98,11 @@ struct Run {
 }
 
 impl Run {
-    /// Says how long it took, as the others may take much longer.
+    /// Says how long it took, as the others may take much longer, and its hash, to compare with what
+    /// another machine makes.
     fn new(job: &'static str, wall_s: f64, result: String) -> Self {
-        eprintln!("  {job}: {wall_s:.1} s");
+        let hash = hex::encode(Sha256::digest(result.as_bytes()));
+        eprintln!("  {job}: {wall_s:.1} s, SHA-256 {}", &hash[..16]);
         Self { job, wall_s, result }
     }
 }

@@ -167,7 +167,7 @@ impl App {
         let patch = of_spoon.map(|(_, it)| it.at(powder.as_deref(), &Conditions::new()));
         let patch = patch.transpose().map_err(Error::Invalid)?.unwrap_or_default();
         let patch = if observations.is_empty() { Patch::default() } else { patch };
-        let (under, device) = (extended.map(|it| it.0), request.device);
+        let under = extended.map(|it| it.0);
         let spec = CalibrationSpec {
             powder,
             target,
@@ -176,10 +176,10 @@ impl App {
             settings,
             design,
             under,
-            device,
-            simulator: simulator_on(device),
+            device: Device::Cpu,
+            simulator: simulator_on(Device::Cpu),
         };
-        self.queue(JobSpec::Calibration(spec), request.labels).await
+        self.queue(JobSpec::Calibration(spec.on(request.device)), request.labels).await
     }
 
     /// The stored shakes of the powder as observations.

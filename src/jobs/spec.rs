@@ -59,7 +59,7 @@ pub fn simulator_on(device: Device) -> String {
 }
 
 /// Latest version of the specifications written here; a text without a number is of version 1.
-const VERSION: u32 = 8;
+const VERSION: u32 = 9;
 
 /// Why a stored specification cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -143,6 +143,25 @@ pub struct CalibrationSpec {
     pub device: Device,
     /// Version of the simulator: [`simulator_on`] the device.
     pub simulator: String,
+}
+
+impl CalibrationSpec {
+    /// The same on this device: a card takes as long for one heap as for eighty, so that there heaps
+    /// do not wait for what others show.
+    #[must_use]
+    pub fn on(mut self, device: Device) -> Self {
+        let particles = self.settings.particles;
+        let (design, tried_first) = match device {
+            Device::Cpu => {
+                let usual = calibrate::Settings::default();
+                (calibrate::Design::with_particles(particles), usual.tried_first)
+            }
+            Device::Cuda => (calibrate::Design::at_once(particles), 0),
+        };
+        self.settings.tried_first = tried_first;
+        let (design, simulator) = (self.design.map(|_| design), simulator_on(device));
+        Self { design, device, simulator, ..self }
+    }
 }
 
 /// A training to carry out.
@@ -365,9 +384,8 @@ impl JobSpec {
                 let simulator = simulator_on(device);
                 Self::Training(TrainingSpec { device, goes_on_from, simulator, ..spec })
             }
-            Self::Calibration(spec) => {
-                let (device, simulator) = (Device::Cpu, simulator_on(Device::Cpu));
-                Self::Calibration(CalibrationSpec { device, simulator, ..spec })
+            Self::Calibration(spec) if !spec.device.is_cpu() => {
+                Self::Calibration(spec.on(Device::Cpu))
             }
             Self::Evaluation(spec) => {
                 let (device, simulator) = (Device::Cpu, simulator_on(Device::Cpu));
@@ -409,6 +427,7 @@ impl JobSpec {
             Self::Film(_) => return 3,
             Self::HeapFilm(_) => return 4,
             Self::EpisodeFilm(_) => return 5,
+            Self::Calibration(spec) if !spec.settings.tries_as_usual() => return 9,
             Self::Calibration(spec) if !spec.device.is_cpu() => return 8,
             Self::Evaluation(spec) if !spec.device.is_cpu() => return 6,
             Self::Training(spec) if spec.settings.gradients != Gradients::Libtorch => return 7,

@@ -6,12 +6,12 @@ use crate::orders::{Orders, Raw};
 use crate::{Refused, Result};
 use cudarc::driver::sys::{CUdevice_attribute, CUevent_flags, CUfunction_attribute};
 use cudarc::driver::{
-    CudaContext, CudaFunction, CudaModule, CudaSlice, CudaStream, DriverError, LaunchConfig,
+    CudaContext, CudaFunction, CudaModule, CudaSlice, CudaStream, DeviceRepr, DriverError, LaunchConfig,
     PushKernelArg,
 };
 use cudarc::nvrtc::Ptx;
 use flip_sim::dispense::outside::State;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// Built by `build_ptx.py` from the sources in `cuda/`.
@@ -113,6 +113,15 @@ pub struct Card {
     /// Asked for, or needed for the base simulator.
     is_small: bool,
     threads: u32,
+    /// Other kernels that it and its clones have compiled.
+    compiled: Arc<Mutex<Vec<(Other, bool, CudaFunction)>>>,
+}
+
+/// A kernel that is compiled when it is first needed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Other {
+    Heaps,
+    Extended,
 }
 
 impl Card {
@@ -159,7 +168,8 @@ impl Card {
             context.attribute(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT)?;
         let multiprocessors = multiprocessors as usize;
         let stream = context.new_stream()?;
-        Ok(Self { stream, kernel, found, multiprocessors, layout, is_small, threads: THREADS })
+        let (threads, compiled) = (THREADS, Arc::default());
+        Ok(Self { stream, kernel, found, multiprocessors, layout, is_small, threads, compiled })
     }
 
     /// The card's name.
@@ -184,6 +194,15 @@ impl Card {
         Self { threads: (threads / 32 * 32).clamp(32, THREADS), ..self }
     }
 
+    /// Memory of the card that nobody has taken, bytes.
+    ///
+    /// # Errors
+    /// A card that fails.
+    pub fn free_bytes(&self) -> Result<usize> {
+        self.stream.synchronize()?;
+        Ok(self.stream.context().mem_get_info()?.0)
+    }
+
     pub(crate) fn stream(&self) -> &Arc<CudaStream> {
         &self.stream
     }
@@ -195,23 +214,39 @@ impl Card {
         Ok(module.load_function("flip_learners")?)
     }
 
-    /// The same card with the kernel for heaps, compiled for it.
+    /// The same card with the kernel for heaps, which it computes beside all else.
     pub(crate) fn for_heaps(&self) -> Result<Self> {
-        let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
-        let module = self.stream.context().load_module(Ptx::from_src(HEAPS)).map_err(bad)?;
-        Ok(Self { kernel: function(&module, self.layout, self.is_small)?, ..self.clone() })
+        let kernel = self.compiled(Other::Heaps, self.layout, self.is_small)?;
+        let stream = self.stream.context().new_stream()?;
+        Ok(Self { kernel, stream, ..self.clone() })
     }
 
-    /// The same card with this kernel for spoons, compiled for it.
+    /// The same card with this kernel for spoons.
     pub(crate) fn for_spoons(&self, layout: Kernel) -> Result<Self> {
         if layout == self.layout {
             return Ok(self.clone());
         }
-        let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
-        let module = self.stream.context().load_module(Ptx::from_src(EXTENDED)).map_err(bad)?;
         let is_small = self.is_small || !self.found.is_larger;
-        let kernel = function(&module, layout, is_small)?;
+        let kernel = self.compiled(Other::Extended, layout, is_small)?;
         Ok(Self { kernel, layout, is_small, ..self.clone() })
+    }
+
+    /// A kernel, compiled for this card once.
+    fn compiled(&self, other: Other, layout: Kernel, is_small: bool) -> Result<CudaFunction> {
+        let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = compiled.iter().find(|it| (it.0, it.1) == (other, is_small));
+        if let Some((.., kernel)) = found {
+            return Ok(kernel.clone());
+        }
+        let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
+        let source = match other {
+            Other::Heaps => HEAPS,
+            Other::Extended => EXTENDED,
+        };
+        let module = self.stream.context().load_module(Ptx::from_src(source)).map_err(bad)?;
+        let kernel = function(&module, layout, is_small)?;
+        compiled.push((other, is_small, kernel.clone()));
+        Ok(kernel)
     }
 
     /// What it computes.
@@ -231,12 +266,14 @@ impl Card {
         Ok(layout::state(self.layout, &words))
     }
 
-    /// Carries out the orders on these spoons, or heaps, and waits for the end.
+    /// Carries out the orders on these spoons, or heaps, and waits for the end. `room` is kept for the
+    /// next ones.
     pub(crate) fn carry_out(
         &self,
         laws: &CudaSlice<u32>,
         spoons: &mut CudaSlice<u32>,
         orders: &Orders,
+        room: &mut Room,
     ) -> Result<Raw> {
         let jobs = orders.jobs.len() / layout::JOB;
         if jobs == 0 {
@@ -251,15 +288,11 @@ impl Card {
         let mut rests = stream.alloc_zeros::<u32>((orders.parts.len() / layout::PART).max(1))?;
         let mut lost = stream.alloc_zeros::<u32>(1)?;
         let mut outcomes = stream.alloc_zeros::<u32>(jobs * layout::OUTCOME)?;
-        let room = if self.is_small { jobs * self.layout.room() } else { 16 };
-        #[allow(unsafe_code)]
-        // SAFETY: the kernel writes what it reads of both, and only what it wrote is copied back.
-        let (mut departed, mut room) = unsafe {
-            (
-                stream.alloc::<u32>(jobs * layout::GRAINS * layout::DEPARTED)?,
-                stream.alloc::<u8>(room)?,
-            )
-        };
+        let aside = if self.is_small { jobs * self.layout.room() } else { 16 };
+        let (departed, aside) = (
+            at_least(&mut room.departed, stream, jobs * layout::GRAINS * layout::DEPARTED)?,
+            at_least(&mut room.aside, stream, aside)?,
+        );
         let shared = shared(self.layout, self.is_small);
         let config = LaunchConfig {
             grid_dim: (jobs as u32, 1, 1),
@@ -270,8 +303,8 @@ impl Card {
         let start = Instant::now();
         let mut launch = stream.launch_builder(&self.kernel);
         launch.arg(&job_table).arg(laws).arg(spoons).arg(&parts).arg(&bodies).arg(&added);
-        launch.arg(&mut rests).arg(&mut lost).arg(&mut departed).arg(&mut outcomes);
-        launch.arg(&mut room);
+        launch.arg(&mut rests).arg(&mut lost).arg(&mut *departed).arg(&mut outcomes);
+        launch.arg(aside);
         #[allow(unsafe_code)]
         // SAFETY: the arguments are those of the kernel, in its order; every table has the length
         // that the jobs name, the grains' lists have room for every grain of every job, and the
@@ -297,6 +330,31 @@ impl Card {
         stream.synchronize()?;
         Ok(raw)
     }
+}
+
+/// Memory of a card that every launch needs and none leaves anything in: to get it and give it back takes
+/// milliseconds for a hundred heaps.
+#[derive(Debug, Default)]
+pub(crate) struct Room {
+    /// The grains that leave.
+    departed: Option<CudaSlice<u32>>,
+    /// What does not fit into a multiprocessor's own memory.
+    aside: Option<CudaSlice<u8>>,
+}
+
+/// The memory in its place, or more of it.
+fn at_least<'a, T: DeviceRepr>(
+    place: &'a mut Option<CudaSlice<T>>,
+    stream: &Arc<CudaStream>,
+    count: usize,
+) -> Result<&'a mut CudaSlice<T>> {
+    if let Some(there) = place.take_if(|it| it.len() >= count) {
+        return Ok(place.insert(there));
+    }
+    #[allow(unsafe_code)]
+    // SAFETY: the kernel writes what it reads of it, and only what it wrote is copied back.
+    let more = unsafe { stream.alloc::<T>(count)? };
+    Ok(place.insert(more))
 }
 
 /// A module's kernel, with the shared memory that it needs.

@@ -1,5 +1,6 @@
 //! Heaps on a card, many at once. Their states stay there between orders.
 
+use crate::card::Room;
 use crate::layout::{self, Kernel, Outcome};
 use crate::orders::{Orders, Raw};
 use crate::{Card, CardError, Result};
@@ -15,6 +16,7 @@ pub struct Heaps {
     card: Card,
     laws: CudaSlice<u32>,
     words: CudaSlice<u32>,
+    room: Room,
     held: Held,
 }
 
@@ -24,12 +26,14 @@ impl Heaps {
     /// # Errors
     /// [`CardError`]: too little memory, or a card that fails.
     pub fn empty(card: &Card, count: usize) -> Result<Self> {
+        let card = card.for_heaps()?;
         let stream = card.stream();
         // No table may be empty.
         let laws = stream.alloc_zeros::<u32>((count * BASE.law()).max(1))?;
         let words = stream.alloc_zeros::<u32>((count * BASE.spoon()).max(1))?;
         stream.synchronize()?;
-        Ok(Self { card: card.for_heaps()?, laws, words, held: Held::empty(count) })
+        let (room, held) = (Room::default(), Held::empty(count));
+        Ok(Self { card, laws, words, room, held })
     }
 
     fn obey(&mut self, orders: &[(usize, Order)]) -> Result<Vec<Stand>> {
@@ -44,7 +48,7 @@ impl Heaps {
         // Until then the card may read the laws.
         stream.synchronize()?;
         let planned = self.held.plan(orders)?;
-        let raw = self.card.carry_out(&self.laws, &mut self.words, &planned)?;
+        let raw = self.card.carry_out(&self.laws, &mut self.words, &planned, &mut self.room)?;
         let mut stands = self.held.stands(orders, &raw)?;
         for ((place, order), stand) in orders.iter().zip(&mut stands) {
             if order.look {

@@ -72,7 +72,7 @@ fn wanted(cohesion: f64, particles: u32, seed: u64) -> Wanted {
 
 fn poured(heaps: &mut dyn Heaps, wanted: &[Wanted]) -> Vec<Repose> {
     let mut found = vec![None; wanted.len()];
-    pour(heaps, wanted, &mut |place, outcome| {
+    pour(&mut [heaps], wanted, &mut |place, outcome| {
         found[place] = Some(outcome.expect("it has an angle"));
         ControlFlow::Continue(())
     })

@@ -1,5 +1,6 @@
 //! A batch of spoons on a card.
 
+use crate::card::Room;
 use crate::layout::Kernel;
 use crate::orders::{self, Task};
 use crate::{Bed, Card, CardError, Fault, Result};
@@ -66,6 +67,7 @@ pub struct Spoons {
     laws: CudaSlice<u32>,
     bank: CudaSlice<u32>,
     words: CudaSlice<u32>,
+    room: Room,
     kernel_s: f64,
 }
 
@@ -140,7 +142,8 @@ impl Spoons {
         stream.synchronize()?;
         let (own, standing) = ((0..count).map(|_| None).collect(), vec![None; count]);
         let held = Held { beds, own, standing };
-        Ok(Self { card, held, laws, bank, words, kernel_s: 0.0 })
+        let room = Room::default();
+        Ok(Self { card, held, laws, bank, words, room, kernel_s: 0.0 })
     }
 
     /// How many there are.
@@ -221,7 +224,7 @@ impl Spoons {
             tasks.push(Task { spoon, law, shape: &bed.shape, pitch_deg, motion, grains });
         }
         let orders = orders::plan(&tasks);
-        let raw = self.card.carry_out(&self.laws, &mut self.words, &orders)?;
+        let raw = self.card.carry_out(&self.laws, &mut self.words, &orders, &mut self.room)?;
         self.kernel_s = raw.kernel_s;
         let poured = orders::poured(&tasks, &orders, &raw)?;
         for (&(spoon, motion), poured) in motions.iter().zip(&poured) {

@@ -68,6 +68,28 @@ fn a_card_is_an_input_of_version_6_or_8_and_the_processor_is_not_mentioned() {
 }
 
 #[test]
+fn on_a_card_a_calibration_pours_its_heaps_together_which_is_version_9_and_back_it_is_as_before() {
+    let stored = include_str!("version_1.jsonl").lines().map(|text| JobSpec::read(text).unwrap());
+    let mut met = 0;
+    for spec in stored {
+        let JobSpec::Calibration(cpu) = &spec else { continue };
+        let card = cpu.clone().on(Device::Cuda);
+        assert_eq!((card.device, card.settings.tried_first), (Device::Cuda, 0));
+        assert_eq!(card.simulator, simulator_on(Device::Cuda));
+        assert_eq!(card.design.is_some(), cpu.design.is_some());
+        assert!(card.design.as_ref().is_none_or(|design| design.initial == design.runs));
+        let (text, _) = JobSpec::Calibration(card.clone()).canonical();
+        assert!(text.starts_with("{\"version\":9,"), "{text}");
+        assert_eq!(JobSpec::read(&text).unwrap(), JobSpec::Calibration(card.clone()));
+        let back = JobSpec::Calibration(card).on_cpu(None);
+        let now = CalibrationSpec { simulator: simulator_on(Device::Cpu), ..cpu.clone() };
+        assert_eq!(back, JobSpec::Calibration(now));
+        met += 1;
+    }
+    assert!(met > 0, "a calibration is among them");
+}
+
+#[test]
 fn gradients_of_our_own_are_an_input_of_version_7_and_libtorch_is_not_mentioned() {
     let is_training = |spec: &JobSpec| matches!(spec, JobSpec::Training(_));
     let stored = include_str!("version_1.jsonl").lines();

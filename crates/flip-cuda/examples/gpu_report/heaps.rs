@@ -3,8 +3,8 @@
 use crate::powders::{cores, on_all, powder};
 use flip_core::domain::seed::derive;
 use flip_cuda::{Card, CardError};
-use flip_sim::batch::heaps::{Wanted, pour};
-use flip_sim::batch::{Engine, Failed};
+use flip_sim::batch::heaps::{Wanted, pour_on};
+use flip_sim::batch::Failed;
 use flip_sim::repose::{Settings, repose};
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -29,9 +29,7 @@ pub fn report(card: &Card) -> Result<(), CardError> {
         .collect();
     let mut angles = vec![None; HEAPS];
     let begun = Instant::now();
-    let mut heaps =
-        card.heaps(HEAPS).map_err(failed)?.ok_or(CardError::Nonsense("it computes no heaps"))?;
-    pour(heaps.as_mut(), &wanted, &mut |place, outcome| {
+    pour_on(card, &wanted, &mut |place, outcome| {
         angles[place] = outcome.ok().map(|heap| heap.cone_deg);
         ControlFlow::Continue(())
     })

@@ -2,23 +2,28 @@
 //! processor cores.
 //!
 //! ```sh
-//! cargo run --release -p flip-cuda --example gpu_report            # all four
+//! cargo run --release -p flip-cuda --example gpu_report            # all five
 //! cargo run --release -p flip-cuda --example gpu_report -- speed   # one of them
 //! cargo run --release -p flip-cuda --example gpu_report -- speed threads=640
 //! cargo run --release -p flip-cuda --example gpu_report -- quick   # speed of one batch on the card
 //! cargo run --release -p flip-cuda --example gpu_report -- quick kernel=small
+//! cargo run --release -p flip-cuda --example gpu_report -- launches launches=10000
 //! ```
 //!
 //! Prints what it measures; without a card it prints why there is nothing to measure.
 
 mod equivalence;
 mod heaps;
+mod launches;
 mod powders;
 mod repeats;
 mod speed;
 
 use flip_cuda::Card;
 use std::process::ExitCode;
+
+/// Launches after which memory is compared, unless others are asked for.
+const LAUNCHES: usize = 1_000_000;
 
 fn main() -> ExitCode {
     let asked: Vec<String> = std::env::args().skip(1).collect();
@@ -55,6 +60,10 @@ fn main() -> ExitCode {
     }
     if wanted("heaps") {
         results.push(heaps::report(&card));
+    }
+    if wanted("launches") {
+        let launches = asked.iter().find_map(|it| it.strip_prefix("launches=")?.parse().ok());
+        results.push(launches::report(&card, launches.unwrap_or(LAUNCHES)));
     }
     for result in &results {
         if let Err(error) = result {

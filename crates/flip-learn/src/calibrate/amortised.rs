@@ -5,7 +5,7 @@
 //! 2. As many points as sets are missing are taken from it, each as far as possible from those
 //!    before it, so that the sets differ.
 //! 3. A point that the emulator is unsure of is first simulated once, as a *search* trial: one heap
-//!    shows whether ten are worth it.
+//!    shows whether ten are worth it ([`Settings::tried_first`]).
 //! 4. The points are verified with fresh seeds. The emulator learns from every run; a point that
 //!    misses is replaced.
 //!
@@ -45,8 +45,6 @@ const CLOSE: usize = 8;
 const POINTS: u64 = u64::MAX - 1;
 /// Below this probability of passing, a point is simulated before it is verified.
 const SURE: f64 = 0.95;
-/// Maximum number of search trials.
-const SEARCH_MAX: usize = 10;
 /// Number of sets verified before the shift between two heap sizes is known.
 const PILOTS: usize = 2;
 /// Steps of the descent to the nearest angle.
@@ -105,7 +103,7 @@ pub(super) fn plan(
     let doubtful = chosen
         .iter()
         .filter(|rated| rated.passes < SURE && !searched.contains(&rated.set.to_unit()));
-    let heaps = SEARCH_MAX.saturating_sub(searched.len()).min(left);
+    let heaps = (settings.tried_first as usize).saturating_sub(searched.len()).min(left);
     let doubtful: Vec<Planned> = (next..)
         .zip(doubtful.take(heaps))
         .map(|(candidate, rated)| {

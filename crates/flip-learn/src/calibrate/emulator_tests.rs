@@ -90,7 +90,10 @@ fn sets_of_the_box(count: usize, seed: u64) -> Vec<ParameterSet> {
 
 #[test]
 fn an_emulator_knows_the_angle_its_own_error_and_the_scatter() {
-    let emulator = emulator();
+    check(&emulator());
+}
+
+fn check(emulator: &Emulator) {
     let (mut errors, mut scores, mut spreads) = (Vec::new(), Vec::new(), Vec::new());
     for set in sets_of_the_box(300, 77).iter().filter(|set| (22.0..50.0).contains(&clean_deg(set)))
     {
@@ -106,6 +109,35 @@ fn an_emulator_knows_the_angle_its_own_error_and_the_scatter() {
     assert!((0.5..1.4).contains(&rms(&scores)), "{}", rms(&scores));
     let [bias, scatter] = [summary::mean(&spreads).unwrap(), summary::sd(&spreads).unwrap()];
     assert!(bias.abs() < 0.2 && scatter < 0.35, "{bias} {scatter}");
+}
+
+/// Answers a batch as a whole, and counts the batches.
+struct Whole<'a>(&'a AtomicU32);
+
+impl Simulate<Pour, Heap> for Whole<'_> {
+    fn simulate(&self, pours: &[Pour], heard: &mut Heard<'_, Heap>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+        let _ = formula(pours).into_iter().try_for_each(heard);
+    }
+}
+
+#[test]
+fn an_emulator_of_one_round_knows_as_much_and_sets_read_off_it_need_one_more() {
+    let (design, batches) = (Design { runs: 120, ..Design::at_once(2000) }, AtomicU32::new(0));
+    let design = Design { initial: design.runs, ..design };
+    let go_on = |_: &Trial, _: &Progress| ControlFlow::Continue(());
+    let emulator = build(&design, numbers, &[], Whole(&batches), go_on).unwrap();
+    assert_eq!(batches.load(Ordering::Relaxed), 1);
+    check(&emulator);
+
+    // Without heaps of doubtful points first, whatever is verified comes at once.
+    let settings = Settings { tried_first: 0, ..settings(1) };
+    let target = Flowability { repose_deg: 36.03, sd_deg: 2.0, n: 5 };
+    let whole = Whole(&batches);
+    let found = calibrate(&target, &settings, Some((&emulator).into()), &[], whole, go_on).unwrap();
+    assert_eq!((found.sets.len(), found.evaluations), (10, 0));
+    let missed = found.verification_runs / settings.verify_repeats - 10;
+    assert!(batches.load(Ordering::Relaxed) <= 2 + missed, "{missed} missed");
 }
 
 #[test]

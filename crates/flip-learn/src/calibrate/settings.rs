@@ -78,10 +78,23 @@ pub struct Settings {
     /// the method `sequential`, whose own process would mix up the two sizes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub verify_particles: Option<u32>,
+    /// Most points of which the emulator is unsure and one heap is poured before the heaps that verify
+    /// it: fewer heaps in all, and one more wait. Default 10; 0 on a graphics card, on which one heap
+    /// takes as long as eighty.
+    #[serde(skip_serializing_if = "is_usual")]
+    pub tried_first: u32,
     /// Parameters that are not searched, by key with the value at which they are held, each within
     /// its published bounds. Default none: all nine are searched.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub fixed: BTreeMap<String, f64>,
+}
+
+/// See [`Settings::tried_first`].
+const TRIED_FIRST: u32 = 10;
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // serde hands a reference.
+fn is_usual(tried_first: &u32) -> bool {
+    *tried_first == TRIED_FIRST
 }
 
 impl Default for Settings {
@@ -100,6 +113,7 @@ impl Default for Settings {
             seed: 1,
             particles: 2000,
             verify_particles: None,
+            tried_first: TRIED_FIRST,
             fixed: BTreeMap::new(),
         }
     }
@@ -130,6 +144,11 @@ impl Settings {
             }
             Method::Paper | Method::Sequential => self.trials_max,
         }
+    }
+
+    /// Whether [`Settings::tried_first`] is the default.
+    pub fn tries_as_usual(&self) -> bool {
+        is_usual(&self.tried_first)
     }
 
     /// Number of grains in the heaps of a phase.

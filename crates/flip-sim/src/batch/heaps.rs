@@ -2,10 +2,10 @@
 //! of [`repose`](crate::repose).
 //!
 //! ```text
-//!   a thread for each heap --asks--> one step for all of them --answers--> threads
+//!   a thread for each heap --asks--> one step for all of a group --answers--> threads
 //! ```
 //!
-//! A step begins once every heap has asked for something. Lengths in grain diameters, time in substeps.
+//! A step begins once every heap of the group has asked for something. Lengths in grain diameters, time in substeps.
 
 mod cores;
 
@@ -147,6 +147,11 @@ pub trait Heaps: Send {
     fn carry_out(&mut self, orders: &[(usize, Order)]) -> Result<Vec<Stand>, Failed>;
 }
 
+/// Most groups, and the fewest heaps of one: a group waits until all of its heaps have poured a layer or
+/// moved on to rest, and each has launches of its own.
+const GROUPS: usize = 16;
+const GROUP_MIN: usize = 4;
+
 /// Pours heaps on an engine, with as many places as are of use; `each` is as for [`pour`].
 ///
 /// # Errors
@@ -159,13 +164,20 @@ pub fn pour_on(
     wanted: &[Wanted],
     each: &mut (dyn FnMut(usize, Result<Repose, Refusal>) -> ControlFlow<()> + Send),
 ) -> Result<(), Failed> {
-    let heaps = engine.heaps(engine.places().min(wanted.len()))?;
-    let none = || Failed(format!("{} pours no heaps", engine.name()));
-    pour(&mut *heaps.ok_or_else(none)?, wanted, each)
+    let places = engine.places().min(wanted.len());
+    let count = places.div_ceil(GROUP_MIN).min(GROUPS);
+    let mut groups = Vec::with_capacity(count);
+    for group in 0..count {
+        let heaps = engine.heaps((places + group) / count)?;
+        groups.push(heaps.ok_or_else(|| Failed(format!("{} pours no heaps", engine.name())))?);
+    }
+    let groups = groups.iter_mut().map(|it| &mut **it as &mut dyn Heaps);
+    pour(&mut groups.collect::<Vec<_>>(), wanted, each)
 }
 
-/// Pours heaps, as many at once as there are places. `each` receives what came of each as soon as it is
-/// known: in any order, but one at a time. After `Break` no further heap begins.
+/// Pours heaps, as many at once as there are places in all groups, which do not wait for one another.
+/// `each` receives what came of each as soon as it is known: in any order, but one at a time. After
+/// `Break` no further heap begins.
 ///
 /// # Errors
 /// The solver failed; `each` has received the heaps that had ended.
@@ -173,14 +185,13 @@ pub fn pour_on(
 /// # Panics
 /// A heap that does not [fit](Wanted::fits) was asked for, or a thread panics.
 pub fn pour(
-    heaps: &mut dyn Heaps,
+    groups: &mut [&mut dyn Heaps],
     wanted: &[Wanted],
     each: &mut (dyn FnMut(usize, Result<Repose, Refusal>) -> ControlFlow<()> + Send),
 ) -> Result<(), Failed> {
-    let room = heaps.room();
+    let room = groups.iter().map(|it| it.room()).min().unwrap_or_default();
     wanted.iter().for_each(|it| it.fits(room).expect("only heaps that fit are asked for"));
     let (next, over, each) = (AtomicUsize::new(0), AtomicBool::new(false), Mutex::new(each));
-    let (says, heard) = channel();
     let work = |place: usize, says: Sender<Said>, answers: &Receiver<Stand>| {
         while !over.load(Ordering::SeqCst) {
             let number = next.fetch_add(1, Ordering::SeqCst);
@@ -197,23 +208,31 @@ pub fn pour(
         }
     };
     std::thread::scope(|scope| {
-        let (mut answers, mut threads) = (Vec::new(), Vec::new());
-        for place in 0..heaps.places().min(wanted.len()) {
-            let (answer, answered) = channel();
-            answers.push(answer);
-            let (says, work) = (says.clone(), &work);
-            threads.push(scope.spawn(move || {
-                let leaves = Leaves(says.clone());
-                work(place, says, &answered);
-                drop(leaves);
-            }));
+        let (mut threads, mut solvers) = (Vec::new(), Vec::new());
+        for heaps in groups {
+            let (says, heard) = channel();
+            let mut answers = Vec::new();
+            for place in 0..heaps.places().min(wanted.len()) {
+                let (answer, answered) = channel();
+                answers.push(answer);
+                let (says, work) = (says.clone(), &work);
+                threads.push(scope.spawn(move || {
+                    let leaves = Leaves(says.clone());
+                    work(place, says, &answered);
+                    drop(leaves);
+                }));
+            }
+            let over = &over;
+            solvers.push(scope.spawn(move || serve(&mut **heaps, &heard, &answers, over)));
         }
-        drop(says);
-        let ended = serve(heaps, &heard, &answers, &over);
         for thread in threads {
             thread.join().unwrap_or_else(|panic| resume_unwind(panic));
         }
-        ended
+        let ended = solvers.into_iter().map(|solver| {
+            solver.join().unwrap_or_else(|panic| resume_unwind(panic))
+        });
+        // All have ended before the first failure is told.
+        ended.collect::<Vec<_>>().into_iter().collect()
     })
 }
 

@@ -48,7 +48,7 @@ fn wanted(count: u64) -> Vec<Wanted> {
 fn a_heap_poured_outside_is_that_of_the_product_whoever_is_beside_it() {
     let all = wanted(5);
     let mut found = vec![None; 5];
-    pour(&mut outside(2, usize::MAX), &all, &mut |place, outcome| {
+    pour(&mut [&mut outside(2, usize::MAX)], &all, &mut |place, outcome| {
         assert!(found[place].replace(outcome).is_none(), "heap {place} came twice");
         ControlFlow::Continue(())
     })
@@ -74,18 +74,18 @@ fn a_solver_that_fails_and_a_break_end_it_and_what_had_ended_was_told() {
         told += 1;
         ControlFlow::Continue(())
     };
-    let failed = pour(&mut outside(2, 100), &all, &mut count).unwrap_err();
+    let failed = pour(&mut [&mut outside(2, 100)], &all, &mut count).unwrap_err();
     assert_eq!(failed.to_string(), "it was taken away");
     assert!(told < 6, "{told}");
 
     let mut told = 0;
-    pour(&mut outside(1, usize::MAX), &all, &mut |_, _| {
+    pour(&mut [&mut outside(1, usize::MAX)], &all, &mut |_, _| {
         told += 1;
         ControlFlow::Break(())
     })
     .unwrap();
     assert_eq!(told, 1);
-    pour(&mut outside(2, 0), &[], &mut |_, _| ControlFlow::Continue(())).unwrap();
+    pour(&mut [&mut outside(2, 0)], &[], &mut |_, _| ControlFlow::Continue(())).unwrap();
 }
 
 /// Two places alone, with heaps or without.
@@ -115,7 +115,7 @@ fn heaps_dealt_out_to_several_engines_are_those_of_one() {
     let all = wanted(7);
     let poured = |heaps: &mut dyn Heaps| {
         let mut found = vec![None; all.len()];
-        pour(heaps, &all, &mut |place, outcome| {
+        pour(&mut [heaps], &all, &mut |place, outcome| {
             found[place] = Some(outcome);
             ControlFlow::Continue(())
         })

@@ -1,0 +1,56 @@
+//! Whether a card and this process still have the memory they had, after very many launches.
+
+use crate::powders::{filled, powder};
+use flip_core::domain::bench::Action;
+use flip_cuda::{Bed, Card, CardError, Result, Spoons};
+use flip_sim::dispense::Settings;
+use std::time::Instant;
+
+/// Launches before memory is first looked at.
+const FIRST: usize = 1000;
+/// Grains of the spoon: the fewest make the shortest launches.
+const GRAINS: u32 = 100;
+/// Each launch turns the spoon by so much, there and back, which takes a few substeps, deg.
+const TURN_DEG: f64 = 0.005;
+
+/// Prints the memory before and after.
+pub fn report(card: &Card, launches: usize) -> Result<()> {
+    let settings = Settings { particles: GRAINS, ..Settings::default() };
+    let beds: Vec<Bed> = filled(1, &[powder(0.6, 0.3)], &settings)
+        .iter()
+        .map(Bed::of)
+        .collect::<std::result::Result<_, _>>()?;
+    let mut spoons = Spoons::new(card, beds, 1)?;
+    let mut substeps = 0;
+    let mut launch = |many: usize| -> Result<()> {
+        for k in 0..many {
+            let turn = if k % 2 == 0 { TURN_DEG } else { -TURN_DEG };
+            let poured = spoons.step(&[(0, Action::once(turn, 0.0))])?;
+            if let Some(fault) = poured.iter().find_map(|it| it.fault.as_ref()) {
+                println!("fault: {fault}");
+                return Err(CardError::Nonsense("a spoon that only turns has no fault"));
+            }
+            substeps += poured.iter().map(|it| u64::from(it.substeps)).sum::<u64>();
+        }
+        Ok(())
+    };
+    launch(FIRST)?;
+    let before = (card.free_bytes()?, resident_kib());
+    let begun = Instant::now();
+    launch(launches)?;
+    let seconds = begun.elapsed().as_secs_f64();
+    let after = (card.free_bytes()?, resident_kib());
+    println!("\n{launches} launches of a spoon of {GRAINS} grains in {seconds:.0} s");
+    println!("{:.1} substeps each", substeps as f64 / (FIRST + launches) as f64);
+    let taken = before.0 as i64 - after.0 as i64;
+    println!("more of the card's memory taken than before them: {taken} bytes");
+    println!("memory of this process: {} KiB before, {} KiB after", before.1, after.1);
+    Ok(())
+}
+
+/// Memory that this process has at hand, KiB; 0 where the system does not say.
+fn resident_kib() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
+}
