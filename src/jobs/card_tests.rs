@@ -200,19 +200,23 @@ fn what_a_card_lacks_is_refused_by_its_name_and_what_it_has_is_not() {
     let check = |spoon: &dispense::Settings, patches: &[Patch]| on(Device::Cuda, spoon, patches);
     assert_eq!(check(&usual, &[]), Ok(()));
     let drier = Patch { parameters: [("cohesion".to_owned(), -0.1)].into(), ..Patch::default() };
-    assert_eq!(check(&usual, &[drier, patch(&[("humidity", 0.0)])]), Ok(()));
+    assert_eq!(check(&usual, &[drier, patch(&[("size_spread", 0.0)])]), Ok(()));
     let extensions = Extensions { rotation: 1.0, charge: 0.5, ..Extensions::default() };
     let turning = dispense::Settings { extensions, ..usual };
     let film = patch(&[("spoon_adhesion", 0.4), ("hold_up", 0.1), ("rolling_friction", 0.2)]);
     assert_eq!(check(&turning, &[film]), Ok(()));
-    let extensions = Extensions { air: 1.0, ..extensions };
-    let refused =
-        check(&dispense::Settings { extensions, ..usual }, &[patch(&[("humidity", 0.4)])]);
-    let refused = refused.unwrap_err();
+    let rested = patch(&[("consolidation", 2.0), ("humidity", 0.4)]);
+    let extensions = Extensions { air: 1.0, vibration_g: 0.5, ..extensions };
+    assert_eq!(check(&dispense::Settings { extensions, ..usual }, &[rested]), Ok(()));
+    let sizes = patch(&[("size_spread", 0.1)]);
+    let refused = check(&turning, std::slice::from_ref(&sizes)).unwrap_err();
     assert_eq!(refused.field, "device");
-    assert!(refused.message.contains("mechanisms `air`, `humidity`:"), "{}", refused.message);
-    let wet = dispense::Settings { extensions, particles: 4000, ..usual };
-    assert_eq!(on(Device::Cpu, &wet, &[patch(&[("humidity", 0.4)])]), Ok(()));
+    assert!(refused.message.contains("mechanisms `size_spread`:"), "{}", refused.message);
+    let extensions = Extensions { size_spread: 0.2, ..extensions };
+    let uneven = dispense::Settings { extensions, particles: 4000, ..usual };
+    let refused = check(&dispense::Settings { particles: 400, ..uneven }, &[]).unwrap_err();
+    assert!(refused.message.contains("`size_spread`"), "{}", refused.message);
+    assert_eq!(on(Device::Cpu, &uneven, &[sizes]), Ok(()));
     let many = dispense::Settings { particles: 4000, ..usual };
     let refused = check(&many, &[]).unwrap_err();
     let says = |refused: FieldError| {

@@ -92,9 +92,10 @@ async fn an_evaluation_on_a_card_is_another_job_names_the_card_and_is_no_evidenc
 async fn a_mechanism_that_the_card_lacks_is_refused_by_its_name() {
     let (_folder, app) = open(with_card(ToyCard::default())).await;
     calibrated(&app, "sand").await;
-    let wet = EvaluationRequest { extensions: [("humidity".into(), 0.5)].into(), ..on_card() };
-    let (field, message) = refused(&app, wet).await;
-    assert!(field == "device" && message.contains("`humidity`"), "{message}");
+    let uneven =
+        EvaluationRequest { extensions: [("size_spread".into(), 0.1)].into(), ..on_card() };
+    let (field, message) = refused(&app, uneven).await;
+    assert!(field == "device" && message.contains("`size_spread`"), "{message}");
     let many = EvaluationRequest { particles: Some(3000), ..on_card() };
     let (field, message) = refused(&app, many).await;
     assert!(field == "device" && message.contains("3000 grains"), "{message}");

@@ -39,6 +39,12 @@ struct Mechanisms {
     float film, cling;                     // pull of the spoon, and more of it for a grain that clings
     float film_ramp;                       // 1 / reach of that pull
     float charge, charge_reach;            // pull of a wall at contact, and the gap at which it ends
+    float ageing, half_life;               // pull of an old contact; age at which it is half of that
+    float bridge, rupture;                 // pull of a liquid bridge at contact; gap at which it breaks
+    float inverse_length;                  // 1 / length over which its pull falls
+    float air, inertia;                    // share of a slow velocity that air takes; more by its size
+    float vibration;                       // peak acceleration of the spoon
+    Bits pace;                             // turns of the vibration a substep, in 2^-32
 };
 #endif
 
@@ -59,6 +65,15 @@ struct Law {
     Mechanisms more;
 #endif
 };
+
+// Gap at which grains begin to act on one another.
+FN float pair_reach(const Law& law) {
+#if defined(FLIP_EXTENDED)
+    return larger(law.grain.reach, law.more.rupture);
+#else
+    return law.grain.reach;
+#endif
+}
 
 constexpr float RADIUS = 0.5f;
 constexpr float NEAREST = 1e-6f;           // lower limit of distances
@@ -181,9 +196,10 @@ constexpr Bits TOUCHES = 0x80000000;       // in the second word of an anchor: t
 typedef float4 Anchor;
 FN Anchor stuck_at(Vec a) { return make_float4(a.x, a.y, a.z, 1.0f); }
 FN Vec place_of(Anchor a) { return vec(a.x, a.y, a.z); }
-FN bool touches(Anchor a) { return a.w != 0.0f; }
-FN void let_go(Anchor& to, Anchor) { to.w = 0.0f; }
-FN Anchor reversed(Anchor a) { return stuck_at(scale(place_of(a), -1.0f)); }
+constexpr float BRIDGED = 2.0f;            // in the fourth place: only a liquid bridge is left of it
+FN bool touches(Anchor a) { return a.w == 1.0f; }
+FN bool holds(Anchor a) { return a.w != 0.0f; }
+FN Anchor reversed(Anchor a) { return with(scale(place_of(a), -1.0f), a.w); }
 #else
 typedef uint2 Anchor;
 FN Anchor stuck_at(Vec a) {
@@ -192,6 +208,7 @@ FN Anchor stuck_at(Vec a) {
 }
 FN Vec place_of(Anchor a) { return unpack(a); }
 FN bool touches(Anchor a) { return (a.y & TOUCHES) != 0; }
+FN bool holds(Anchor a) { return touches(a); }
 FN void let_go(Anchor& to, Anchor was) { to.y = was.y & ~TOUCHES; }
 FN Anchor reversed(Anchor a) { return pack(scale(unpack(a), -1.0f)); }
 #endif
@@ -214,6 +231,37 @@ FN Rolled resist(const Mechanisms& m, Vec stretch, Vec turning, float side, floa
     if (!(limit * limit < size2)) return Rolled{torque, s};
     torque = scale(torque, limit * inverse_root(size2));
     return Rolled{torque, scale(torque, 1.0f / k)};
+}
+
+// Pull of a contact of this age, which grows and saturates.
+FN float aged(const Mechanisms& m, float age) { return m.ageing * over(age, age + m.half_life); }
+
+// Pull of a liquid bridge.
+FN float bridged(const Mechanisms& m, float gap) {
+    float s = larger(0.0f, gap) * m.inverse_length;
+    return over(m.bridge, 1.0f + s * (1.05f + 2.5f * s));
+}
+
+// A velocity after the drag of air, taken implicitly.
+FN Vec slowed(const Mechanisms& m, Vec u) {
+    if (m.air == 0.0f) return u;
+    float rate = m.air * (1.0f + m.inertia * root(dot(u, u)));
+    return scale(u, over(1.0f, 1.0f + rate));
+}
+
+// The sine of a phase in 2^-32 of a turn, by its series about the nearest zero.
+FN float sine(Bits phase) {
+    float turn = float(int(phase)) * (1.0f / 4294967296.0f);
+    if (turn > 0.25f) turn = 0.5f - turn;
+    if (turn < -0.25f) turn = -0.5f - turn;
+    float y = 6.28318531f * turn, y2 = y * y;
+    float tail = 1.0f - y2 * (1.0f / 72.0f) * (1.0f - y2 * (1.0f / 110.0f));
+    return y * (1.0f - y2 * (1.0f / 6.0f) * (1.0f - y2 * (1.0f / 20.0f) * (1.0f - y2 * (1.0f / 42.0f) * tail)));
+}
+
+// What the vibration of the spoon adds to the acceleration along z in this substep.
+FN float shaken(const Mechanisms& m, int substep) {
+    return m.vibration == 0.0f ? 0.0f : 0.0f - m.vibration * sine(Bits(substep) * m.pace);
 }
 
 // Pulls of the spoon beside its adhesion.

@@ -208,7 +208,7 @@ FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& n
         Anchor anchor = was.anchors[t];
         Bits pair = was.touching[t];
         int a = work.present[pair & 0xffff], b = work.present[pair >> 16];
-        if (!touches(anchor) || a == NOBODY || b == NOBODY) continue;
+        if (!holds(anchor) || a == NOBODY || b == NOBODY) continue;
         int owner = least(a, b), k = take_ticket(&carried_count(work)[owner], 1);
         if (k < CARRIED) {
             *carried_place(work, owner, k) = Place(most(a, b));
@@ -221,7 +221,8 @@ FN bool carry(const Block& block, const Work& work, const Memory& was, Memory& n
         if (a > b) anchor = reversed(anchor);
 #if defined(FLIP_EXTENDED)
         now.anchors[place] = anchor;
-        store3(now.rolls, place, scale(load3(was.rolls, t), a > b ? -1.0f : 1.0f));
+        float4 rolls = was.rolls[t];
+        now.rolls[place] = with(scale(first3(rolls), a > b ? -1.0f : 1.0f), rolls.w);
 #else
         now.anchors[place] = make_uint2(anchor.x, anchor.y | TOUCHES);
 #endif
@@ -286,7 +287,7 @@ FN bool search(const Work& work, const Law& law, Memory& now, int i, bool is_one
     bool is_marked = touching >= MARKED;
     touching = least(is_marked ? touching - MARKED : touching, CARRIED);
     Seeker me = Seeker{first3(work.p[i]), first3(velocities(work)[i]), Carried{}, is_marked, false};
-    float near = 1.0f + law.grain.reach + 2.0f * SKIN;
+    float near = 1.0f + pair_reach(law) + 2.0f * SKIN;
     for (int k = 0; k < CARRIED / 2; k++) me.carried.pairs[k] = 0xffffffffu;
     for (int k = 0; k < touching; k++) remember(me.carried, *carried_place(work, i, k));
     meet();
@@ -349,7 +350,7 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2)));
     block.barrier();
     float fastest = root(float_of(Bits(work.tally[FASTEST])));
-    float spare = 0.5f * (law.cell - (1.0f + law.grain.reach + 2.0f * SKIN));
+    float spare = 0.5f * (law.cell - (1.0f + pair_reach(law) + 2.0f * SKIN));
     float horizon = smaller(HORIZON, spare / larger(fastest, NEAREST));
     if (carry(block, work, was, now, contacts, grains)) fault = OVERFULL;
     int tries = 0;

@@ -36,6 +36,8 @@ FN Vec cross(Vec a, Vec b) {
     return vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
 }
 FN float dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+FN Vec first3(float4 a) { return vec(a.x, a.y, a.z); }
+FN float4 with(Vec a, float w) { return make_float4(a.x, a.y, a.z, w); }
 #if defined(__CUDACC__)
 FN float larger(float a, float b) { return fmaxf(a, b); }
 FN float smaller(float a, float b) { return fminf(a, b); }

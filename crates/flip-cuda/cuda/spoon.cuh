@@ -38,6 +38,7 @@ struct Pairs {
     bool attract;
 #if defined(FLIP_EXTENDED)
     const Law* whole;
+    float2 body;
 #endif
 };
 
@@ -46,6 +47,7 @@ struct Pull {
     Vec correction;
     bool acts, touches;
 #if defined(FLIP_EXTENDED)
+    bool spans;                    // a liquid bridge does
     Vec torque, other_torque;
 #endif
 };
@@ -65,6 +67,14 @@ FN void exchange(const Work& work, int i, int j, const Pull& pull) {
 
 FN Pull idle() { return Pull{vec(0.0f, 0.0f, 0.0f), false, false}; }
 
+FN Vec coasting(Vec v, const Law& law, float2 body) {
+    Vec u = scale(vec(v.x + body.x, v.y, v.z + body.y), law.drag);
+#if defined(FLIP_EXTENDED)
+    u = slowed(law.more, u);
+#endif
+    return u;
+}
+
 // A pair that touched before, or touches now for the first time; its anchor is kept.
 FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j, bool touched,
                 Anchor anchor, int place) {
@@ -78,11 +88,20 @@ FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j
     Vec normal = scale(offset, inverse);
     float gap = distance2 * inverse - law.onset;
     float along = 0.0f - attract(gap, c);
-    if (!(gap < 0.0f)) return Pull{scale(normal, along), law.attract, false};
-    float share = mine.w * other.w;
 #if defined(FLIP_EXTENDED)
-    velocity = scale(velocity, law.whole->drag);
+    const Mechanisms& more = law.whole->more;
+    // It forms on contact, and spans a gap until it breaks.
+    bool spans = more.bridge > 0.0f && (gap < 0.0f || holds(anchor)) && gap < more.rupture;
+    if (spans) along -= bridged(more, gap);
+    if (!(gap < 0.0f)) return Pull{scale(normal, along), law.attract || spans, false, spans};
+    velocity = more.air == 0.0f
+        ? scale(velocity, law.whole->drag)
+        : sub(coasting(load3(work.v, i), *law.whole, law.body),
+              coasting(load3(work.v, j), *law.whole, law.body));
+#else
+    if (!(gap < 0.0f)) return Pull{scale(normal, along), law.attract, false};
 #endif
+    float share = mine.w * other.w;
     float push = separate(gap, dot(velocity, normal), c.normal, c.normal_damping * share);
     Vec stuck = touched ? place_of(anchor) : offset;
 #if defined(FLIP_EXTENDED)
@@ -95,11 +114,15 @@ FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j
     Held held = stick(offset, stuck, velocity, normal, c.tangential_damping * share,
                       c.friction * push, c);
     if (EXTENDED || !touched || held.slips) memory.anchors[place] = stuck_at(held.anchor);
+#if defined(FLIP_EXTENDED)
+    float4 rolls = touched ? memory.rolls[place] : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+    float age = more.ageing > 0.0f ? rolls.w + 1.0f : 0.0f;
+    along -= aged(more, age);
+#endif
     Pull pull = Pull{sub(scale(normal, along + push), held.correction), true, true};
 #if defined(FLIP_EXTENDED)
-    Vec stretch = touched ? load3(memory.rolls, place) : vec(0.0f, 0.0f, 0.0f);
-    Rolled rolled = resist(law.whole->more, stretch, sub(spin, other_spin), 1.0f, push);
-    store3(memory.rolls, place, rolled.stretch);
+    Rolled rolled = resist(more, first3(rolls), sub(spin, other_spin), 1.0f, push);
+    memory.rolls[place] = with(rolled.stretch, age);
     Vec arm = scale(cross(normal, held.correction), lever);
     pull.torque = sub(arm, rolled.torque);
     pull.other_torque = add(arm, rolled.torque);
@@ -132,7 +155,11 @@ FN void add_contacts(const Block& block, const Work& work, const Pairs& law, Mem
             if (t + block.threads < contacts) ahead = memory.touching[t + block.threads];
             bool touched = touches(anchor);
             pull = contact(work, law, memory, i, j, touched, anchor, t);
+#if defined(FLIP_EXTENDED)
+            if (holds(anchor) && !pull.touches) memory.anchors[t].w = pull.spans ? BRIDGED : 0.0f;
+#else
             if (touched && !pull.touches) let_go(memory.anchors[t], anchor);
+#endif
         }
         meet();
         if (pull.acts) exchange(work, i, j, pull);
@@ -204,10 +231,6 @@ FN Pull wall_contact(const Work& work, const Law& law, Memory& memory, int i, fl
     return pull;
 }
 
-FN Vec coasting(Vec v, const Law& law, float2 body) {
-    return scale(vec(v.x + body.x, v.y, v.z + body.y), law.drag);
-}
-
 // Adds the contacts with the spoon.
 FN void add_walls(const Block& block, const Work& work, const Law& law, Memory& memory, int grains,
                   float2 body) {
@@ -233,13 +256,16 @@ FN void add_walls(const Block& block, const Work& work, const Law& law, Memory& 
 FN void correct(const Block& block, const Work& work, const Law& law, Spoon& spoon, int grains,
                 int contacts, float2 body) {
     Memory& memory = spoon.memory[spoon.head.generation];
-    float reach = 1.0f + law.grain.reach;
+    float reach = 1.0f + pair_reach(law);
     Pairs pairs =
         Pairs{law.grain, reach * reach, 1.0f + law.grain.onset, law.grain.attraction > 0.0f};
     // Without attraction nothing happens beyond touch.
-    if (!pairs.attract) pairs.near2 = pairs.onset * pairs.onset;
 #if defined(FLIP_EXTENDED)
     pairs.whole = &law;
+    pairs.body = body;
+    if (!pairs.attract && law.more.bridge == 0.0f) pairs.near2 = pairs.onset * pairs.onset;
+#else
+    if (!pairs.attract) pairs.near2 = pairs.onset * pairs.onset;
 #endif
     add_contacts(block, work, pairs, memory, contacts);
     add_near(block, work, pairs, memory, least(work.tally[NEAR], PAIRS));
@@ -412,6 +438,9 @@ FN float substep(const Block& block, const Work& work, const Law& law, Spoon& sp
 FN void carry_out(const Block& block, const Work& work, const Law& law, Spoon& spoon,
                   const Job& job, const Part* parts, const float2* bodies, int* rests,
                   const Losses& losses, Run& run) {
+#if defined(FLIP_EXTENDED)
+    int elapsed = spoon.head.elapsed + spoon.head.substeps;
+#endif
     for (int part = 0; part < job.parts; part++) {
         Part todo = parts[job.first + part];
         float2 standing = make_float2(todo.standing[0], todo.standing[1]);
@@ -429,6 +458,10 @@ FN void carry_out(const Block& block, const Work& work, const Law& law, Spoon& s
             Check check = Check{collects, predicts, job.place, part, moves ? k : -1};
             float2 body = moves ? bodies[todo.first + k] : standing;
             float2 next = k + 1 < todo.substeps ? bodies[todo.first + k + 1] : standing;
+#if defined(FLIP_EXTENDED)
+            body.y += shaken(law.more, elapsed + run.substeps);
+            next.y += shaken(law.more, elapsed + run.substeps + 1);
+#endif
             float fastest2 = substep(block, work, law, spoon, run, body, next, check, losses);
             if (!moves && check.collects) {
                 calm = fastest2 < law.rest_speed2 ? calm + law.slice : 0;

@@ -22,7 +22,8 @@ struct Head {
     int substeps;                  // substeps since then
     int crowded;                   // lists built again because they had no room for all pairs
     int contacts;                  // pairs listed as touching
-    int unused[24];
+    int elapsed;                   // substeps before the spoon was filled
+    int unused[23];
 };
 
 // What a grain remembers besides its motion. Two of them take turns: a list is built from the
@@ -38,7 +39,7 @@ struct Memory {
     Bits touching[CONTACTS];       // pairs that touch, and some that no longer do
     Anchor anchors[CONTACTS];      // of those
 #if defined(FLIP_EXTENDED)
-    float rolls[3 * CONTACTS];     // of those: the stretch of their rolling
+    float4 rolls[CONTACTS];        // of those: the stretch of their rolling; age, substeps
 #endif
     Bits near[PAIRS];              // pairs that may come to touch before the next list, or NO_PAIR
 };
@@ -138,5 +139,3 @@ FN void store3(float* to, int i, Vec a) {
     to[3 * i + 1] = a.y;
     to[3 * i + 2] = a.z;
 }
-FN Vec first3(float4 a) { return vec(a.x, a.y, a.z); }
-FN float4 with(Vec a, float w) { return make_float4(a.x, a.y, a.z, w); }

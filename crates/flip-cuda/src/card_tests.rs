@@ -1,7 +1,7 @@
 //! What only a card can show. Each test prints why it is skipped where there is none.
 
 use crate::orders::{self, Task};
-use crate::twin::{self, tests::small, tests::turning};
+use crate::twin::{self, tests::small, tests::turning, tests::wet};
 use crate::{Bed, Card, CardError, Poured, Result, Spoons};
 use flip_core::domain::bench::Action;
 use flip_sim::dispense::Dispenser;
@@ -25,9 +25,9 @@ fn beds() -> Vec<Bed> {
     of(&[small(0.0, 0.4), small(0.6, 0.5), small(0.2, 0.9)])
 }
 
-/// The same of grains that turn.
+/// The same of grains that turn, and of some that are wet.
 fn turning_beds() -> Vec<Bed> {
-    of(&[turning(0.0, 0.4), turning(0.6, 0.5), turning(0.2, 0.9)])
+    of(&[turning(0.0, 0.4), turning(0.6, 0.5), wet(0.2, 0.4)])
 }
 
 fn of(spoons: &[Dispenser]) -> Vec<Bed> {

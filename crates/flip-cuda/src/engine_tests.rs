@@ -17,8 +17,8 @@ const RUNS: u64 = 192;
 /// The 95 % quantile of Student's t for two samples of 192.
 const T: f64 = 1.649;
 
-/// Two powders, and a third whose grains turn and are drawn to the spoon.
-fn powders() -> [(ParameterSet, Settings); 3] {
+/// Two powders, a third whose grains turn and are drawn to the spoon, and a wet one that ages.
+fn powders() -> [(ParameterSet, Settings); 4] {
     let turning = Extensions {
         rotation: 1.0,
         rolling_friction: 0.2,
@@ -26,8 +26,15 @@ fn powders() -> [(ParameterSet, Settings); 3] {
         hold_up: 0.1,
         ..Extensions::default()
     };
+    let wet = Extensions {
+        consolidation: 0.3,
+        humidity: 0.1,
+        air: 1.0,
+        vibration_g: 0.2,
+        ..Extensions::default()
+    };
     let none = Extensions::default();
-    [(0.3, 0.0, none), (0.6, 0.5, none), (0.5, 0.0, turning)].map(
+    [(0.3, 0.0, none), (0.6, 0.5, none), (0.5, 0.0, turning), (0.3, 0.0, wet)].map(
         |(friction, cohesion, extensions)| {
             let set =
                 ParameterSet::default().with("friction", friction).expect("within its bounds");

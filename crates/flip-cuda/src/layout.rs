@@ -16,7 +16,7 @@ const CELLS: usize = 4096;
 /// departed grain.
 pub(crate) const HEAD: usize = 32;
 const LAW: usize = 38;
-const MECHANISMS: usize = 9;
+const MECHANISMS: usize = 18;
 pub(crate) const PART: usize = 5;
 pub(crate) const JOB: usize = 7;
 pub(crate) const OUTCOME: usize = 10;
@@ -24,6 +24,9 @@ pub(crate) const ADDED: usize = 7;
 pub(crate) const DEPARTED: usize = 9;
 /// In the second word of a base simulator's anchor: the pair touches now.
 const TOUCHES: u32 = 1 << 31;
+/// In the fourth place of an extended anchor: the pair touches, or only a liquid bridge is left.
+const TOUCHING: f32 = 1.0;
+const BRIDGED: f32 = 2.0;
 /// Bytes of shared memory of the small kernels.
 pub(crate) const SHARED_SMALL: usize = (4 + 3) * 4 * GRAINS + PLACES;
 const PLACES: usize = (2 * (2 * GRAINS + CELLS + 1)).next_multiple_of(16);
@@ -76,7 +79,7 @@ impl Kernel {
 
     /// Words of what a spoon's grains remember.
     const fn memory(self) -> usize {
-        self.rolls() + self.either(0, 3) * CONTACTS + PAIRS
+        self.rolls() + self.either(0, 4) * CONTACTS + PAIRS
     }
 
     /// Words of a spoon.
@@ -131,7 +134,7 @@ pub(crate) fn law(spoon: &Spoon) -> Vec<u32> {
 
 /// The mechanisms' numbers as the kernel reads them.
 fn mechanisms(of: &Mechanisms) -> [u32; MECHANISMS] {
-    [
+    let numbers = [
         // The moment of inertia of a solid sphere is 2/5 m r^2, and r is 1/2.
         2.5 * of.freedom / 0.25,
         of.rolling_friction,
@@ -142,8 +145,23 @@ fn mechanisms(of: &Mechanisms) -> [u32; MECHANISMS] {
         1.0 / of.film_reach,
         of.charge,
         of.charge_reach,
-    ]
-    .map(f32::to_bits)
+        of.ageing,
+        of.ageing_half_life,
+        of.bridge,
+        of.bridge_rupture,
+        of.bridge_inverse_length,
+        of.air,
+        of.air_inertia,
+        of.vibration,
+    ];
+    std::array::from_fn(|k| {
+        numbers.get(k).map_or_else(|| turns(of.vibration_pace), |x| x.to_bits())
+    })
+}
+
+/// An angle a substep as a share of a turn, in 2^-32.
+fn turns(radians: f64) -> u32 {
+    (radians / std::f64::consts::TAU * 4_294_967_296.0).round() as u32
 }
 
 /// The same of a heap on its base.
@@ -202,13 +220,15 @@ fn strengths(of: &Strengths) -> [f32; 10] {
 /// A spoon's state as the kernel reads it; none if it has too many grains or contacts.
 pub(crate) fn image(kernel: Kernel, state: &State) -> Option<Vec<u32>> {
     let n = state.grains.len();
-    if n > GRAINS || state.stuck.len() > CONTACTS {
+    let contacts = state.stuck.len() + state.bridged.len();
+    if n > GRAINS || contacts > CONTACTS {
         return None;
     }
     let mut words = vec![0; kernel.image()];
     let memory = kernel.motion();
     words[0] = n as u32;
-    words[7] = state.stuck.len() as u32;
+    words[7] = contacts as u32;
+    words[8] = state.elapsed;
     for (i, grain) in state.grains.iter().enumerate() {
         let share = 1.0 / grain.contacts.max(1.0).sqrt();
         set(&mut words, HEAD + 4 * i, [grain.x[0], grain.x[1], grain.x[2], share]);
@@ -227,7 +247,7 @@ pub(crate) fn image(kernel: Kernel, state: &State) -> Option<Vec<u32>> {
                 words[at + 2 * k] = low;
                 words[at + 2 * k + 1] = high | TOUCHES;
             }
-            Kernel::Extended => set(&mut words, at + 4 * k, with(*anchor, 1.0)),
+            Kernel::Extended => set(&mut words, at + 4 * k, with(*anchor, TOUCHING)),
         }
     }
     if kernel == Kernel::Extended {
@@ -236,9 +256,12 @@ pub(crate) fn image(kernel: Kernel, state: &State) -> Option<Vec<u32>> {
             let clings = f32::from(u8::from(it.clings));
             set(&mut words, memory + 4 * (GRAINS + i), with(it.wall_stretch, clings));
         }
-        for (k, stretch) in state.rolls.iter().enumerate() {
-            let at = memory + kernel.rolls() + 3 * k;
-            words[at..at + 3].copy_from_slice(&stretch.map(f32::to_bits));
+        for (k, (stretch, age)) in state.rolls.iter().zip(&state.ages).enumerate() {
+            set(&mut words, memory + kernel.rolls() + 4 * k, with(*stretch, *age));
+        }
+        for (k, [a, b]) in (state.stuck.len()..).zip(&state.bridged) {
+            words[memory + kernel.touching() + k] = a | b << 16;
+            set(&mut words, memory + kernel.anchors() + 4 * k, with([0.0; 3], BRIDGED));
         }
     }
     Some(words)
@@ -279,7 +302,11 @@ pub(crate) fn state(kernel: Kernel, words: &[u32]) -> State {
     let four = |at: usize| [0, 1, 2, 3].map(|k| f32::from_bits(words[at + k]));
     let three = |at: usize| [0, 1, 2].map(|k| f32::from_bits(words[at + k]));
     let mut places = vec![None; n];
-    let mut state = State::default();
+    let elapsed = match kernel {
+        Kernel::Base => 0,
+        Kernel::Extended => words[8] + words[5],
+    };
+    let mut state = State { elapsed, ..State::default() };
     for (i, place) in places.iter_mut().enumerate() {
         let [x, y, z, share] = four(HEAD + 4 * i);
         if x > 5e5 {
@@ -312,26 +339,34 @@ pub(crate) fn state(kernel: Kernel, words: &[u32]) -> State {
         let here = [pair & 0xffff, pair >> 16];
         let here = here.map(|end| places.get(end as usize).copied().flatten());
         let at = memory + kernel.anchors();
-        let (anchor, touches) = match kernel {
+        let (anchor, holds) = match kernel {
             Kernel::Base => {
                 let [low, high] = [words[at + 2 * k], words[at + 2 * k + 1]];
-                (unpack([low, high]), high & TOUCHES != 0)
+                (unpack([low, high]), if high & TOUCHES != 0 { TOUCHING } else { 0.0 })
             }
-            Kernel::Extended => (three(at + 4 * k), words[at + 4 * k + 3] != 0),
+            Kernel::Extended => {
+                let [x, y, z, holds] = four(at + 4 * k);
+                ([x, y, z], holds)
+            }
         };
-        let stretch = match kernel {
-            Kernel::Base => [0.0; 3],
-            Kernel::Extended => three(memory + kernel.rolls() + 3 * k),
+        let rolls = match kernel {
+            Kernel::Base => [0.0; 4],
+            Kernel::Extended => four(memory + kernel.rolls() + 4 * k),
         };
-        if let ([Some(a), Some(b)], true) = (here, touches) {
-            stuck.push(([a, b], anchor, stretch));
+        let [Some(a), Some(b)] = here else { continue };
+        if holds == TOUCHING {
+            stuck.push(([a, b], anchor, rolls));
+        } else if holds == BRIDGED {
+            state.bridged.push([a, b]);
         }
     }
     // Contacts that began at the same time are listed in any order.
     stuck.sort_unstable_by_key(|(ends, ..)| *ends);
-    for (ends, anchor, stretch) in stuck {
+    state.bridged.sort_unstable();
+    for (ends, anchor, [x, y, z, age]) in stuck {
         state.stuck.push((ends, anchor));
-        state.rolls.extend((kernel == Kernel::Extended).then_some(stretch));
+        state.rolls.extend((kernel == Kernel::Extended).then_some([x, y, z]));
+        state.ages.extend((kernel == Kernel::Extended).then_some(age));
     }
     state
 }
@@ -418,6 +453,9 @@ mod tests {
                 turning(0.0, false),
             ],
             rolls: vec![[0.5, 0.0, -0.25], [0.0, 1e-9, 0.0]],
+            ages: vec![3.0, 120_000.0],
+            bridged: vec![[0, 2]],
+            elapsed: 77,
             ..state.clone()
         };
         assert_eq!(through(Kernel::Extended, &turns), turns);

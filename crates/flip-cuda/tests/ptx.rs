@@ -15,9 +15,9 @@ fn the_version_is_that_of_these_kernels() {
         return println!("skipped: the kernels are not on this machine");
     };
     let known = (
-        3,
+        4,
         "ad525b44b3c0ef57519300035b81aa00e7424f7703db2b4273b313b2d4408de9",
-        "f54194779439e499e78946200a5e9376c47cfbeb4b99792a6f0b4ae9f8d6bbb9",
+        "c9a3292fd2c1614fdfc02404e4ecd84260a3b25959e873fa64d04c864b879a6f",
         "6d070a855754f5285e87f1fc3af8ce8b732fb0bc8049c38aa826abc37a9e7318",
     );
     let [spoons, extended, heaps] =

@@ -3,8 +3,8 @@
 use crate::powders::{cores, on_all, powder};
 use flip_core::domain::seed::derive;
 use flip_cuda::{Card, CardError};
-use flip_sim::batch::heaps::{Wanted, pour_on};
 use flip_sim::batch::Failed;
+use flip_sim::batch::heaps::{Wanted, pour_on};
 use flip_sim::repose::{Settings, repose};
 use std::ops::ControlFlow;
 use std::time::Instant;

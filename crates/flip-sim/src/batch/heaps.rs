@@ -228,9 +228,9 @@ pub fn pour(
         for thread in threads {
             thread.join().unwrap_or_else(|panic| resume_unwind(panic));
         }
-        let ended = solvers.into_iter().map(|solver| {
-            solver.join().unwrap_or_else(|panic| resume_unwind(panic))
-        });
+        let ended = solvers
+            .into_iter()
+            .map(|solver| solver.join().unwrap_or_else(|panic| resume_unwind(panic)));
         // All have ended before the first failure is told.
         ended.collect::<Vec<_>>().into_iter().collect()
     })

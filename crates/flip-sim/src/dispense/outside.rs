@@ -72,6 +72,24 @@ pub struct Mechanisms {
     pub charge: f32,
     /// Gap at which it is cut off, diameters.
     pub charge_reach: f32,
+    /// Attraction of a contact that has lasted for long, diameters per substep squared.
+    pub ageing: f32,
+    /// Age at which it is half of that, substeps.
+    pub ageing_half_life: f32,
+    /// Attraction by a liquid bridge at contact, diameters per substep squared.
+    pub bridge: f32,
+    /// Gap at which the bridge breaks, diameters.
+    pub bridge_rupture: f32,
+    /// 1 over the length in which its attraction falls, per diameter.
+    pub bridge_inverse_length: f32,
+    /// Share of a slow velocity that air takes in a substep.
+    pub air: f32,
+    /// How that share grows with the velocity, substeps per diameter.
+    pub air_inertia: f32,
+    /// Peak of the vertical acceleration of a spoon that vibrates, diameters per substep squared.
+    pub vibration: f32,
+    /// Its angle, radians per substep, counted from the first substep of the spoon.
+    pub vibration_pace: f64,
 }
 
 /// A spoon and its powder's law, without the grains. Lengths in grain diameters and times in
@@ -144,6 +162,13 @@ pub struct State {
     /// Stretch of the pairs' rolling since the contact stuck, radians, in the order of `stuck`; empty
     /// in the base simulator.
     pub rolls: Vec<[f32; 3]>,
+    /// How long the pairs have touched, substeps, in the order of `stuck`; empty in the base simulator.
+    /// Counted only where contacts age.
+    pub ages: Vec<f32>,
+    /// Pairs that no longer touch and that a liquid bridge spans, by their places in `grains`.
+    pub bridged: Vec<[u32; 2]>,
+    /// Substeps of the spoon so far, by which it vibrates; 0 in the base simulator.
+    pub elapsed: u32,
 }
 
 /// A motion of the spoon, then rest if any.
@@ -338,11 +363,14 @@ impl Dispenser {
             wall_anchor: (anchor[3] > 0.0).then(|| three(anchor)),
         });
         let mut state = State { grains: described.collect(), ..State::default() };
-        for (ends, anchor, stretch) in grains.stuck() {
+        for (ends, anchor, [x, y, z, age]) in grains.stuck() {
             state.stuck.push((ends, anchor));
-            state.rolls.extend(self.law.extended.then_some(stretch));
+            state.rolls.extend(self.law.extended.then_some([x, y, z]));
+            state.ages.extend(self.law.extended.then_some(age));
         }
         if self.law.extended {
+            state.bridged = grains.bridged();
+            state.elapsed = grains.elapsed();
             let turning = grains.turning().zip(&state.grains);
             let turning = turning.map(|((spin, stretch), grain)| Turning {
                 spin: three(spin),

@@ -44,6 +44,13 @@ impl Air {
     }
 }
 
+impl Air {
+    /// a and b of the equation above.
+    pub(super) fn numbers(&self) -> [f32; 2] {
+        [self.rate, self.inertia]
+    }
+}
+
 #[allow(clippy::inline_always)] // See `lanes`.
 impl Mechanism for Air {
     #[inline(always)]

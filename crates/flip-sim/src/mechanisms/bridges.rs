@@ -42,6 +42,13 @@ impl Bridges {
     }
 }
 
+impl Bridges {
+    /// Its pull at contact, the gap at which it breaks, and 1 over the length in which the pull falls.
+    pub(super) fn numbers(&self) -> [f32; 3] {
+        [self.pull, self.rupture, self.inverse_length]
+    }
+}
+
 #[allow(clippy::inline_always)] // See `lanes`.
 impl Mechanism for Bridges {
     #[inline(always)]

@@ -17,7 +17,7 @@ pub(super) struct Consolidation {
 /// Age at which half of the strength is reached, s.
 const HALF_LIFE_S: f64 = 0.1;
 /// Memory slot for the age, in substeps.
-const AGE: usize = 3;
+pub(crate) const AGE: usize = 3;
 
 impl Consolidation {
     pub(super) fn new(extensions: &Extensions, scene: &Scene) -> Self {
@@ -25,6 +25,13 @@ impl Consolidation {
             pull: extensions.consolidation as f32 * scene.bond,
             half_life: (HALF_LIFE_S / scene.substep_s) as f32,
         }
+    }
+}
+
+impl Consolidation {
+    /// Its pull on a contact of any age, and the age at which it is half of that, substeps.
+    pub(super) fn numbers(&self) -> [f32; 2] {
+        [self.pull, self.half_life]
     }
 }
 

@@ -134,8 +134,17 @@ impl Extensions {
 }
 
 /// Mechanisms whose numbers a solver outside this crate is given.
-pub const OUTSIDE: [&str; 5] =
-    ["rotation", "rolling_friction", "spoon_adhesion", "hold_up", "charge"];
+pub const OUTSIDE: [&str; 9] = [
+    "rotation",
+    "rolling_friction",
+    "consolidation",
+    "humidity",
+    "spoon_adhesion",
+    "hold_up",
+    "vibration_g",
+    "charge",
+    "air",
+];
 
 /// Kind of walls in a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -145,6 +154,8 @@ pub(super) enum Site {
     /// A spoon.
     Spoon,
 }
+
+pub(super) use consolidation::AGE;
 
 /// Numbers in a pair's memory.
 pub(super) const SLOTS: usize = 5;
@@ -295,6 +306,10 @@ impl Mechanisms {
         let [rolling_friction, rolling_stiffness, rolling_damping] = self.rolling.numbers();
         let [film, cling, film_reach] = self.film.numbers();
         let [charge, charge_reach] = self.charge.numbers();
+        let [ageing, ageing_half_life] = self.consolidation.numbers();
+        let [bridge, bridge_rupture, bridge_inverse_length] = self.bridges.numbers();
+        let [air, air_inertia] = self.air.numbers();
+        let [vibration, vibration_pace] = self.vibration.numbers();
         outside::Mechanisms {
             freedom: self.freedom,
             rolling_friction,
@@ -305,6 +320,15 @@ impl Mechanisms {
             film_reach,
             charge,
             charge_reach,
+            ageing,
+            ageing_half_life,
+            bridge,
+            bridge_rupture,
+            bridge_inverse_length,
+            air,
+            air_inertia,
+            vibration: vibration as f32,
+            vibration_pace,
         }
     }
 

@@ -26,6 +26,13 @@ impl Vibration {
     }
 }
 
+impl Vibration {
+    /// Its peak acceleration, and its angle a substep, radians.
+    pub(super) fn numbers(&self) -> [f64; 2] {
+        [self.peak, self.pace]
+    }
+}
+
 impl Mechanism for Vibration {
     fn step(&self, substep: u32) -> f32 {
         // Not the standard library's sine, whose last bit depends on the machine.

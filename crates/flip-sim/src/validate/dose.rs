@@ -140,7 +140,8 @@ impl Course {
         };
         let probe = |k: usize| {
             let of = doses.each_ref().map(|level| level.iter().map(|spoon| spoon[k]).collect());
-            check(self.checks[k], Convergence::of(&of))
+            let check = check(self.checks[k], Convergence::of(&of));
+            if suite.on.is_some() { check.on_an_engine() } else { check }
         };
         (0..PROBES).map(probe).collect()
     }

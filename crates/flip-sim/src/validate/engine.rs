@@ -4,7 +4,7 @@ use super::super::batch::heaps::{Wanted, pour_on};
 use super::super::batch::{Engine, Failed, Motion, Stand, in_step};
 use super::super::dispense::Dispenser;
 use super::super::repose::{Refusal, Repose};
-use super::{Experiment, Suite};
+use super::{Check, Experiment, KnownDeviation, Suite, known};
 use flip_core::domain::bench::Action;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -21,6 +21,15 @@ const ON_ENGINES: [&str; 9] = [
     "repose_base_friction",
     "rest_free_flowing",
     "rest_cohesive",
+];
+
+/// Doses that miss their goal by more than the cores' on an H200, whose sums round otherwise, and by how
+/// much, mg; the reasons are the same.
+const FURTHER_OFF: [(&str, f64); 4] = [
+    ("dose_free_flowing_4mm", 0.75),
+    ("dose_frictional_4mm", 0.40),
+    ("dose_frictional_steeper_4mm", 3.61),
+    ("dose_frictional_steeper_8mm", 1.90),
 ];
 
 /// An engine, and why it failed if it did.
@@ -54,6 +63,19 @@ impl Experiment {
     /// Whether an engine of batches can compute it.
     pub fn is_on_engines(&self) -> bool {
         ON_ENGINES.contains(&self.name)
+    }
+}
+
+impl Check {
+    /// The same check of what an engine computed: its documented deviations count, too.
+    pub(super) fn on_an_engine(mut self) -> Self {
+        let documented = FURTHER_OFF.iter().find(|(name, _)| *name == self.name);
+        if let (Some((_, miss)), false) = (documented, self.is_accounted_for())
+            && self.miss() <= *miss
+        {
+            self.known_deviation = known(self.name).map(|of| KnownDeviation { miss: *miss, ..of });
+        }
+        self
     }
 }
 
@@ -143,6 +165,20 @@ mod tests {
         fn batch(&self, _: usize) -> Result<Box<dyn Batch>, Failed> {
             Err(Failed("it was taken away".to_owned()))
         }
+    }
+
+    #[test]
+    fn a_dose_on_an_engine_may_miss_its_goal_as_far_as_is_documented_there() {
+        let miss_mg = |name, mg: f64| {
+            let check = Check::near(name, 0.1 + mg, [0.0, 0.1], "mg", "a test");
+            let on_engine = check.clone().on_an_engine();
+            [check, on_engine].map(|check| check.known_deviation.map(|known| known.miss))
+        };
+        assert_eq!(miss_mg("dose_frictional_4mm", 0.36), [Some(0.37), Some(0.37)]);
+        assert_eq!(miss_mg("dose_frictional_4mm", 0.39), [None, Some(0.40)]);
+        assert_eq!(miss_mg("dose_frictional_4mm", 0.41), [None, None]);
+        assert_eq!(miss_mg("repose_friction", 0.39), [None, None]);
+        assert_eq!(miss_mg("dose_frictional_4mm", f64::NAN), [None, None]);
     }
 
     #[test]

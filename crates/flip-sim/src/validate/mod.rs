@@ -115,6 +115,10 @@ const KNOWN: &[(&str, KnownDeviation)] = &[
     ("dose_frictional_steeper_8mm", KnownDeviation { miss: 1.85, reason: SCATTER }),
 ];
 
+fn known(name: &str) -> Option<KnownDeviation> {
+    KNOWN.iter().find(|(known, _)| *known == name).map(|(_, deviation)| *deviation)
+}
+
 impl Check {
     /// A quantity predicted by a law.
     fn near(
@@ -136,8 +140,8 @@ impl Check {
             source,
             convergence: None,
         };
-        let known = KNOWN.iter().find(|(known, _)| *known == name).map(|(_, deviation)| *deviation);
-        check.known_deviation = known.filter(|deviation| !passed && check.miss() <= deviation.miss);
+        check.known_deviation =
+            known(name).filter(|deviation| !passed && check.miss() <= deviation.miss);
         check
     }
 
