@@ -7,7 +7,7 @@
 # make calibration-report   the published method and ours on the five powders, twenty minutes on two cores
 # make training-report   trains ours and the four published orders, and weighs with all; hours, stop it and call it again (EPISODES=4000)
 # make discovery-report   effects hidden in data, hundreds of them, and the table of what was found; hours, stop it and call it again (NULLS=70 EFFECTS=10 WHOLE=10; ONLY=spoon POWDERS=4)
-# make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6)
+# make weighing-gain   a version of the simulator from hidden data, and policies adapted to it, weighing: hours on two cores, stop it and call it again (SEEDS=6; DEVICE=cuda on a graphics card)
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills on each database, a minute of fuzzing for each parser: two hours or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
 # make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal; its investigation takes a quarter of an hour on one worker and needs the calibration before it (ARGS="3 100 1,2,4 calibration,evaluation": repeats, size in %, workers, jobs; FLIP_POSTGRES_BIN=folder of initdb)

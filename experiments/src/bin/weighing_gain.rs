@@ -16,20 +16,25 @@
 //! The truth shares nothing with the catalogue except contacts that gain strength: how much in
 //! which time follows another formula ([`consolidation`]), and the powders on the bench are
 //! parameter sets seen in no training and no fit. The air's humidity is recorded and has no effect.
-//! Completed work is found again; the output depends on the code alone.
+//! Completed work is found again; the output depends on the code alone. With `DEVICE=cuda` calibrations,
+//! trainings and doses are computed on a graphics card, and the output is another one.
 
 use anyhow::{Context, bail, ensure};
-use flip::app::report_html;
+use flip::app::{local_engine, report_html};
 use flip_core::domain::bench::{INCLINE_CHANGE_DEG_MAX, SHAKE_MM_MAX};
 use flip_core::domain::conditions::{Patch, Under};
+use flip_core::domain::device::Device;
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
 use flip_core::stats::summary::{mean, sd};
 use flip_discover::Report;
 use flip_discover::report::WeighingGain;
-use flip_learn::train::environment::{Filling, Simulated, play, simulated};
-use flip_learn::train::{Event, Extended, Level, Order, Preset, Settings, Start, train_on};
+use flip_learn::train::environment::{Filling, Simulated, Spoon, play};
+use flip_learn::train::{
+    Event, Extended, Gradients, Level, Order, Preset, Settings, Start, train, train_beside,
+};
 use flip_policy::{Controller, Observation, Rules, decode, id, normal};
+use flip_sim::batch::{Engine, Failed, Place, side_by_side};
 use flip_sim::mechanisms::Extensions;
 use flip_sim::repose::{self, repose};
 use flip_sim::{balance, dispense};
@@ -41,6 +46,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::Arc;
 
 /// Powders the policy is trained on.
 const POWDERS: [&str; 3] = ["sand", "sugar", "salt"];
@@ -59,6 +65,9 @@ const TARGETS_MG: [f64; 3] = [5.0, 10.0, 15.0];
 const REPEATS: u64 = 6;
 /// Maximum number of oracles: they only show how wide the gap is.
 const ORACLES: u64 = 3;
+
+/// Episodes of a round, as a training plays them on a card.
+const ROUND_ON_CARD: u32 = 32;
 
 /// Seed indices.
 const CAMPAIGN: u64 = 1;
@@ -86,6 +95,8 @@ struct Flip {
     folder: PathBuf,
     /// Data folder, within the other.
     data: &'static str,
+    /// The card, if one is asked for.
+    card: Option<Arc<dyn Engine>>,
     seed: u64,
 }
 
@@ -102,6 +113,12 @@ impl Flip {
         let errors = String::from_utf8_lossy(&output.stderr);
         ensure!(output.status.success(), "flip {}: {errors}", arguments.join(" "));
         Ok(serde_json::from_slice(&output.stdout)?)
+    }
+
+    /// These arguments, and the device to compute on.
+    fn on_device<'a>(&self, arguments: &[&[&'a str]]) -> Vec<&'a str> {
+        let device: &[&str] = if self.card.is_some() { &["--device", "cuda"] } else { &[] };
+        [arguments, &[device]].concat().concat()
     }
 
     fn path(&self, name: &str) -> String {
@@ -121,6 +138,7 @@ impl Flip {
             program: self.program.clone(),
             folder: self.folder.clone(),
             data,
+            card: self.card.clone(),
             seed: self.seed,
         })
     }
@@ -130,8 +148,8 @@ impl Flip {
         let seed = self.seed.to_string();
         let of = |powder: &&str| {
             let under = simulator.map_or_else(Vec::new, |version| vec!["--simulator", version]);
-            let found = self
-                .ask(&[&["calibrate", "--powder", powder, "--seed", &seed], &under[..]].concat())?;
+            let asked = ["calibrate", "--powder", powder, "--seed", &seed];
+            let found = self.ask(&self.on_device(&[&asked, &under]))?;
             let powder = &found["powders"][0];
             let sets = powder["sets"].as_array().context("a calibration has sets")?;
             let sets =
@@ -149,7 +167,8 @@ impl Flip {
         arguments: &[&str],
     ) -> anyhow::Result<Vec<Named>> {
         let seeds = seeds.map(|seed| seed.to_string()).collect::<Vec<_>>().join(",");
-        let trained = self.ask(&[&["train", "--seeds", &seeds], arguments].concat())?;
+        let trained =
+            self.ask(&self.on_device(&[&["train", "--seeds", &seeds], arguments]))?;
         let all = trained.as_array().map_or_else(|| vec![&trained], |all| all.iter().collect());
         let policy = |trained: &Value| {
             let policy = trained["policy"].as_str().context("a training has a policy")?.to_owned();
@@ -236,43 +255,98 @@ fn oracle(flip: &Flip, old: &Named, truth: &[Level], seed: u64) -> anyhow::Resul
     let checkpoint = std::fs::read(&under_way).ok();
     let start = checkpoint.as_deref().map_or(Start::Policy(actor), Start::Checkpoint);
     eprintln!("oracle {seed}");
-    let trained = train_on(
-        &simulated(&settings),
-        truth,
-        &settings,
-        start,
-        &|| ControlFlow::Continue(()),
-        |event| match event {
-            Event::Checkpoint(bytes) if write(&under_way, &bytes).is_err() => {
-                ControlFlow::Break(())
-            }
-            _ => ControlFlow::Continue(()),
-        },
-    )?;
+    let keep = |event| match event {
+        Event::Checkpoint(bytes) if write(&under_way, &bytes).is_err() => ControlFlow::Break(()),
+        _ => ControlFlow::Continue(()),
+    };
+    let go_on = || ControlFlow::Continue(());
+    let trained = match &flip.card {
+        None => train(truth, &settings, start, &go_on, keep)?,
+        Some(card) => {
+            let (episodes_per_round, gradients) = (ROUND_ON_CARD, Gradients::Fused);
+            let settings = Settings { episodes_per_round, gradients, ..settings };
+            train_beside(&**card, truth, &settings, start, &go_on, keep)?
+        }
+    };
     write(&file, &trained.artifact)?;
     Ok((id(&trained.artifact), decode(&trained.artifact)?.controller))
 }
 
+/// The laboratory's bench.
+struct Bench {
+    rules: Rules,
+    filling: Simulated,
+    balance: balance::Settings,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let rules = Rules::FLIP;
+        let settings = dispense::Settings { pitch: rules.pitch, ..dispense::Settings::default() };
+        let (filling, balance) = (Simulated { settings }, balance::Settings::default());
+        Self { rules, filling, balance }
+    }
+
+    /// What a policy errs by in a dose from this spoon, mg.
+    fn error(&self, spoon: &mut impl Spoon, controller: &Controller, mg: f64, seed: u64) -> f64 {
+        let Self { rules, balance, .. } = self;
+        let mut dosing = controller.begin(rules, balance.readability_mg);
+        let propose = |seen: &Observation| {
+            let action = dosing.propose(seen);
+            let incline = action.incline_change_deg / INCLINE_CHANGE_DEG_MAX;
+            [incline as f32, (2.0 * action.shake_mm / SHAKE_MM_MAX - 1.0) as f32]
+        };
+        play(spoon, rules, balance, mg, seed, propose).dispensed_mg - mg
+    }
+
+    /// The same of each dose by each of these policies, side by side on a card: `[doses][policies]`.
+    fn errors_on(
+        &self,
+        card: &dyn Engine,
+        doses: &[(ParameterSet, f64, u64)],
+        policies: &[&Named],
+    ) -> anyhow::Result<Vec<Vec<f64>>> {
+        let many = doses.len() * policies.len();
+        let mut found = vec![Err("it was not weighed".to_owned()); many];
+        let procedure = |k: usize, place: &mut Place| -> Result<f64, String> {
+            let (set, target_mg, seed) = doses[k / policies.len()];
+            let heap = self.filling.loose(&set, &rested(BENCH_MIN), seed);
+            let mut seat = place.settle(heap).map_err(|Failed(why)| why)?;
+            Ok(self.error(&mut seat, &policies[k % policies.len()].1, target_mg, seed))
+        };
+        let mut each = |k: usize, error| {
+            found[k] = error;
+            ControlFlow::Continue(())
+        };
+        let mut batch = card.batch(card.places().min(many))?;
+        side_by_side(&mut *batch, many, procedure, &mut each)?;
+        let found = found.into_iter().collect::<Result<Vec<f64>, String>>();
+        let found = found.map_err(anyhow::Error::msg)?;
+        Ok(found.chunks(policies.len()).map(<[f64]>::to_vec).collect())
+    }
+}
+
 /// Errors of each of these policies over the same doses on the laboratory's bench, mg:
-/// `[policies][doses]`. Each dose is a file in `kept`.
+/// `[policies][doses]`. On the cores each dose is a file in `kept`.
 fn weigh(
     policies: &[Named],
     powders: &[Vec<ParameterSet>],
-    seed: u64,
+    flip: &Flip,
     kept: &Path,
 ) -> anyhow::Result<Vec<Vec<f64>>> {
     std::fs::create_dir_all(kept)?;
-    let rules = Rules::FLIP;
-    let filling = Simulated {
-        settings: dispense::Settings { pitch: rules.pitch, ..dispense::Settings::default() },
-    };
-    let balance = balance::Settings::default();
+    let (bench, seed) = (Bench::new(), flip.seed);
     let mut doses = Vec::new();
     for (p, sets) in powders.iter().enumerate() {
         for (t, target_mg) in TARGETS_MG.into_iter().enumerate() {
             let seed = |repeat: u64| derive(seed, &[DOSES, p as u64, t as u64, repeat]);
             doses.extend((0..REPEATS).map(|r| (sets[r as usize % sets.len()], target_mg, seed(r))));
         }
+    }
+    if let Some(card) = &flip.card {
+        let all: Vec<&Named> = policies.iter().collect();
+        let errors = bench.errors_on(&**card, &doses, &all)?;
+        return Ok(by_policy(&errors, policies.len()));
     }
     let errors = doses.par_iter().enumerate().map(|(dose, (set, target_mg, seed))| {
         let file = kept.join(format!("dose-{dose}.json"));
@@ -283,29 +357,22 @@ fn weigh(
         let missing: Vec<&Named> =
             policies.iter().filter(|(id, _)| !errors.contains_key(id)).collect();
         if !missing.is_empty() {
-            let filled = filling.fill_under(set, &rested(BENCH_MIN), *seed);
+            let filled = bench.filling.fill_under(set, &rested(BENCH_MIN), *seed);
             for (id, controller) in missing {
-                let mut dosing = controller.begin(&rules, balance.readability_mg);
-                let played = play(
-                    &mut filled.clone(),
-                    &rules,
-                    &balance,
-                    *target_mg,
-                    *seed,
-                    |seen: &Observation| {
-                        let action = dosing.propose(seen);
-                        let incline = action.incline_change_deg / INCLINE_CHANGE_DEG_MAX;
-                        [incline as f32, (2.0 * action.shake_mm / SHAKE_MM_MAX - 1.0) as f32]
-                    },
-                );
-                errors.insert(id.clone(), played.dispensed_mg - target_mg);
+                let error = bench.error(&mut filled.clone(), controller, *target_mg, *seed);
+                errors.insert(id.clone(), error);
             }
             write(&file.display().to_string(), &serde_json::to_vec(&errors)?)?;
         }
         Ok(policies.iter().map(|(id, _)| errors[id]).collect())
     });
     let errors: Vec<Vec<f64>> = errors.collect::<anyhow::Result<_>>()?;
-    Ok((0..policies.len()).map(|c| errors.iter().map(|of_dose| of_dose[c]).collect()).collect())
+    Ok(by_policy(&errors, policies.len()))
+}
+
+/// `[doses][policies]` the other way round.
+fn by_policy(errors: &[Vec<f64>], policies: usize) -> Vec<Vec<f64>> {
+    (0..policies).map(|c| errors.iter().map(|of_dose| of_dose[c]).collect()).collect()
 }
 
 /// 95 % interval of the mean of these differences, one for each training seed: Student's t.
@@ -322,9 +389,16 @@ fn main() -> anyhow::Result<()> {
     let seeds: u64 = std::env::var("SEEDS").map_or(Ok(6), |text| text.parse())?;
     ensure!(seeds >= 2, "SEEDS must be at least 2: the interval is over them");
     let program = std::env::var_os("FLIP_BIN").context("FLIP_BIN names the program")?.into();
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/weighing-gain");
+    let device = match std::env::var("DEVICE").as_deref() {
+        Err(_) | Ok("" | "cpu") => Device::Cpu,
+        Ok("cuda") => Device::Cuda,
+        Ok(other) => bail!("DEVICE must be cpu or cuda, not {other}"),
+    };
+    let card = local_engine(device)?;
+    let name = if card.is_some() { "weighing-gain-cuda" } else { "weighing-gain" };
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target").join(name);
     std::fs::create_dir_all(&folder)?;
-    let flip = Flip { program, folder: folder.clone(), data: "data", seed: 1 };
+    let flip = Flip { program, folder: folder.clone(), data: "data", card, seed: 1 };
 
     let base = flip.calibrated(None)?;
     let old = flip.trained(1..=1, &[])?.remove(0);
@@ -373,7 +447,7 @@ fn main() -> anyhow::Result<()> {
     let arms: [(&str, Vec<Named>); 4] =
         [("old", vec![old]), ("sham", sham), ("extended", extended), ("oracle", best)];
     let all: Vec<Named> = arms.iter().flat_map(|(_, of)| of.clone()).collect();
-    let errors = weigh(&all, &of_laboratory, flip.seed, &folder.join("weighed"))?;
+    let errors = weigh(&all, &of_laboratory, &flip, &folder.join("weighed"))?;
     let doses = errors[0].len();
     println!(
         "| policy | trainings | mean absolute error mg, {doses} doses each | SD over trainings | more than 1 mg over | more than 1 mg short |"
