@@ -147,8 +147,8 @@ fn procedures_side_by_side_on_a_card_are_the_same_bytes_whoever_is_beside_them()
 #[test]
 fn what_a_card_cannot_compute_is_refused_in_words() {
     let mut settings = Settings { particles: 200, ..Settings::default() };
-    settings.extensions.humidity = 0.5;
-    let wet = Dispenser::new(&ParameterSet::default(), &settings, 1);
-    let refused = Bed::of(&wet).expect_err("its powder is wet");
+    settings.extensions.size_spread = 0.2;
+    let uneven = Dispenser::new(&ParameterSet::default(), &settings, 1);
+    let refused = Bed::of(&uneven).expect_err("its grains are of unequal size");
     assert!(refused.to_string().contains("mechanisms"), "{refused}");
 }

@@ -6,8 +6,9 @@ use flip_cuda::{Bed, Card, CardError, Result, Spoons};
 use flip_sim::dispense::Settings;
 use std::time::Instant;
 
-/// Launches before memory is first looked at.
+/// Launches before memory is first looked at, and between two looks.
 const FIRST: usize = 1000;
+const BETWEEN: usize = 100_000;
 /// Grains of the spoon: the fewest make the shortest launches.
 const GRAINS: u32 = 100;
 /// Each launch turns the spoon by so much, there and back, which takes a few substeps, deg.
@@ -35,16 +36,20 @@ pub fn report(card: &Card, launches: usize) -> Result<()> {
         Ok(())
     };
     launch(FIRST)?;
-    let before = (card.free_bytes()?, resident_kib());
-    let begun = Instant::now();
-    launch(launches)?;
-    let seconds = begun.elapsed().as_secs_f64();
-    let after = (card.free_bytes()?, resident_kib());
-    println!("\n{launches} launches of a spoon of {GRAINS} grains in {seconds:.0} s");
-    println!("{:.1} substeps each", substeps as f64 / (FIRST + launches) as f64);
-    let taken = before.0 as i64 - after.0 as i64;
-    println!("more of the card's memory taken than before them: {taken} bytes");
-    println!("memory of this process: {} KiB before, {} KiB after", before.1, after.1);
+    let (free, resident) = (card.free_bytes()?, resident_kib());
+    let (begun, mut done) = (Instant::now(), 0);
+    println!("\n## Launches of a spoon of {GRAINS} grains\n");
+    println!("| launches | s | more of the card's memory taken, bytes | more of this process's, KiB |");
+    println!("|---|---|---|---|");
+    while done < launches {
+        let many = BETWEEN.min(launches - done);
+        launch(many)?;
+        done += many;
+        let taken = free as i64 - card.free_bytes()? as i64;
+        let grown = resident_kib() as i64 - resident as i64;
+        println!("| {done} | {:.0} | {taken} | {grown} |", begun.elapsed().as_secs_f64());
+    }
+    println!("\n{:.1} substeps each", substeps as f64 / (FIRST + launches) as f64);
     Ok(())
 }
 

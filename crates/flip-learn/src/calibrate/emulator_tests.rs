@@ -123,18 +123,17 @@ impl Simulate<Pour, Heap> for Whole<'_> {
 
 #[test]
 fn an_emulator_of_one_round_knows_as_much_and_sets_read_off_it_need_one_more() {
-    let (design, batches) = (Design { runs: 120, ..Design::at_once(2000) }, AtomicU32::new(0));
-    let design = Design { initial: design.runs, ..design };
+    let batches = AtomicU32::new(0);
+    let design = Design { runs: 120, initial: 120, ..Design::at_once(2000) };
     let go_on = |_: &Trial, _: &Progress| ControlFlow::Continue(());
     let emulator = build(&design, numbers, &[], Whole(&batches), go_on).unwrap();
     assert_eq!(batches.load(Ordering::Relaxed), 1);
     check(&emulator);
-
-    // Without heaps of doubtful points first, whatever is verified comes at once.
+    // Whatever is verified comes at once.
     let settings = Settings { tried_first: 0, ..settings(1) };
     let target = Flowability { repose_deg: 36.03, sd_deg: 2.0, n: 5 };
-    let whole = Whole(&batches);
-    let found = calibrate(&target, &settings, Some((&emulator).into()), &[], whole, go_on).unwrap();
+    let (knowledge, whole) = (Some((&emulator).into()), Whole(&batches));
+    let found = calibrate(&target, &settings, knowledge, &[], whole, go_on).unwrap();
     assert_eq!((found.sets.len(), found.evaluations), (10, 0));
     let missed = found.verification_runs / settings.verify_repeats - 10;
     assert!(batches.load(Ordering::Relaxed) <= 2 + missed, "{missed} missed");
