@@ -1,4 +1,5 @@
-/** The version of the simulator that a request names, and its conditions. */
+/** The version of the simulator that a request names, its conditions, and what computes. */
+import type { Device } from './api/types'
 
 export interface Choice {
   /** `base`, or a version. */
@@ -16,3 +17,6 @@ export function bySimulator({ version, conditions }: Choice) {
   const typed = (value: string) => (Number.isFinite(Number(value)) ? Number(value) : value)
   return { simulator: version, conditions: Object.fromEntries(given.map(([name, value]) => [name, typed(value)])) }
 }
+
+/** The field of a request: none for the processor. */
+export const onDevice = (device: Device) => (device === 'cpu' ? {} : { device })

@@ -174,5 +174,5 @@ export const workers = (patience_ms: number) => body(client.GET('/v1/workers', {
 /** The benches of all servers, likewise. */
 export const benches = (patience_ms: number) => body(client.GET('/v1/benches', { signal: AbortSignal.timeout(patience_ms) }))
 export const cancelJob = (id: string) => body(client.POST('/v1/jobs/{id}/cancel', { params: at(id) }))
-/** The same inputs as a failed or cancelled job, as a new job. */
-export const startAgain = (id: string) => body(client.POST('/v1/jobs/{id}/again', { params: at(id) }))
+/** The same inputs as a failed or cancelled job, as a new job; `cpu`: on the processor instead of a card. */
+export const startAgain = (id: string, device?: 'cpu') => body(client.POST('/v1/jobs/{id}/again', { params: { ...at(id), query: { device } } }))
