@@ -79,7 +79,8 @@ pub use crate::jobs::observe::{Observed, Simulated};
 pub use crate::jobs::repose::ReposeResult;
 pub use crate::jobs::train::{Gradients, Order, PAPER_LEVELS_DEG, Preset, TrainingResult};
 pub use crate::jobs::{
-    Conditions, Crew, Functions, Workers, compute_on, give_way_to_the_bench, local_engine,
+    Conditions, Crew, Functions, Workers, compute_on, give_way_to_the_bench, local_cards,
+    local_engine,
 };
 pub(crate) use agent::agent;
 pub use asked::asked_after;

@@ -5,7 +5,7 @@ use super::failure::Failure;
 use super::health;
 use super::session::runtime;
 use super::table::table;
-use crate::app::{App, Disagreement, OpenError, Storage, Timestamp};
+use crate::app::{App, Disagreement, OpenError, Storage, Timestamp, local_cards};
 use serde::Serialize;
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
@@ -79,7 +79,7 @@ fn failed(what: &'static str, found: impl Into<String>) -> Finding {
 
 /// Runs all checks; exit status 1 if one fails.
 pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure> {
-    let mut findings = vec![processor(), memory(), clock(), descriptors()];
+    let mut findings = vec![processor(), graphics_card(), memory(), clock(), descriptors()];
     findings.extend(storage(&common.storage()?, arguments.thorough)?);
     findings.push(port(arguments.listen));
     findings.extend(arguments.bench.as_deref().map(bench));
@@ -115,6 +115,12 @@ fn processor() -> Finding {
         );
     }
     ok("processor", found)
+}
+
+/// Nothing needs one: `--device cuda` asks for it.
+fn graphics_card() -> Finding {
+    let found = local_cards().unwrap_or_else(|why| format!("none that FLIP can use: {why}"));
+    ok("graphics card", found)
 }
 
 /// The widest vectors that the simulator computes with on this machine.

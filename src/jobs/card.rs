@@ -127,6 +127,11 @@ pub(super) fn engine_of(
     }
 }
 
+/// What this computer's cards are, or why there is none that can be used.
+pub fn local_cards() -> Result<String, String> {
+    AllCards::default().found()
+}
+
 /// This computer's cards, for what is computed without a job; none for the processor.
 ///
 /// # Errors

@@ -48,7 +48,9 @@ mod stop;
 pub mod train;
 mod worker;
 
-pub use card::{AllCards, Cards, HeapsByCard, SideBySide, can_compute, can_pour, local_engine};
+pub use card::{
+    AllCards, Cards, HeapsByCard, SideBySide, can_compute, can_pour, local_cards, local_engine,
+};
 pub use conditions::Conditions;
 pub use crew::{Crew, JobWorker};
 pub use lanes::lane_of;

@@ -16,10 +16,20 @@ fn a_doctor_looks_and_changes_nothing() {
     let found = document(&looked);
     let names: Vec<&str> =
         found.as_array().unwrap().iter().map(|it| it["what"].as_str().unwrap()).collect();
-    assert_eq!(
-        names,
-        ["processor", "memory", "clock", "descriptors", "disk", "data folder", "port"]
-    );
+    let expected = [
+        "processor",
+        "graphics card",
+        "memory",
+        "clock",
+        "descriptors",
+        "disk",
+        "data folder",
+        "port",
+    ];
+    assert_eq!(names, expected);
+    // Whether there is one or not, it is named or the reason is.
+    assert_eq!(found[1]["verdict"], json!("ok"));
+    assert!(found[1]["found"].as_str().unwrap().len() > 10, "{found}");
     assert!(!data.exists());
     expect_status(&flip(&data, &["jobs"]), 0);
     std::fs::write(folder.path().join("bench.toml"), "[balance]\n").unwrap();

@@ -167,8 +167,7 @@ impl Flip {
         arguments: &[&str],
     ) -> anyhow::Result<Vec<Named>> {
         let seeds = seeds.map(|seed| seed.to_string()).collect::<Vec<_>>().join(",");
-        let trained =
-            self.ask(&self.on_device(&[&["train", "--seeds", &seeds], arguments]))?;
+        let trained = self.ask(&self.on_device(&[&["train", "--seeds", &seeds], arguments]))?;
         let all = trained.as_array().map_or_else(|| vec![&trained], |all| all.iter().collect());
         let policy = |trained: &Value| {
             let policy = trained["policy"].as_str().context("a training has a policy")?.to_owned();

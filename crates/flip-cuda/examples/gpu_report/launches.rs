@@ -39,7 +39,9 @@ pub fn report(card: &Card, launches: usize) -> Result<()> {
     let (free, resident) = (card.free_bytes()?, resident_kib());
     let (begun, mut done) = (Instant::now(), 0);
     println!("\n## Launches of a spoon of {GRAINS} grains\n");
-    println!("| launches | s | more of the card's memory taken, bytes | more of this process's, KiB |");
+    println!(
+        "| launches | s | more of the card's memory taken, bytes | more of this process's, KiB |"
+    );
     println!("|---|---|---|---|");
     while done < launches {
         let many = BETWEEN.min(launches - done);
