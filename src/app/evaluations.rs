@@ -129,7 +129,7 @@ impl App {
             conditions = conditions.as_calibrated(&self.shakes().await?);
         }
         // Before anybody calibrates for what would be refused then.
-        can_compute(request.device, &conditions.spoon(), [].iter())?;
+        can_compute(request.device, &conditions.spoon())?;
         self.check_device(JobKind::Evaluation, request.device).await?;
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
@@ -157,8 +157,6 @@ impl App {
             let sets = sets.into_iter().map(|set| set.id).collect();
             subjects.push(EvaluationPowder { powder: id, sets, patch });
         }
-        let patches = subjects.iter().map(|it| &it.patch);
-        can_compute(request.device, &conditions.spoon(), patches)?;
         let spec = EvaluationSpec {
             policy: policy.id,
             rivals: controllers.iter().filter_map(|name| rival(name)).collect(),

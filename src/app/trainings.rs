@@ -147,7 +147,7 @@ impl App {
             settings.spoon = settings.spoon.as_executed(&self.shakes().await?);
         }
         // Before anybody calibrates for what would be refused then.
-        can_compute(request.device, &settings.spoon, [].iter())?;
+        can_compute(request.device, &settings.spoon)?;
         self.check_device(JobKind::Training, request.device).await?;
         let extended = self.extended(request.simulator.as_deref(), &request.conditions).await?;
         let simulator = extended.as_ref().map(|(under, _)| under.simulator.as_str());
@@ -171,9 +171,6 @@ impl App {
                 Some(Extended { days: of(None)?, powders: own.collect::<Result<_>>()?, under });
             settings = settings.checked()?;
         }
-        let days = settings.extended.iter();
-        let days = days.flat_map(|it| it.days.iter().chain(it.powders.values().flatten()));
-        can_compute(request.device, &settings.spoon, days)?;
         let (device, simulator) = (request.device, simulator_on(request.device));
         let spec = TrainingSpec { levels, settings, device, goes_on_from: None, simulator };
         self.queue(JobSpec::Training(spec), request.labels).await

@@ -10,7 +10,6 @@ use super::runner::{DoseExperiment, Each, HeapExperiment, Run, Runner};
 use flip_bench::rig::simulate_from;
 use flip_bench::weigh::Event;
 use flip_core::domain::FieldError;
-use flip_core::domain::conditions::Patch;
 use flip_core::domain::device::Device;
 use flip_cuda::{Card, GRAINS_MAX};
 use flip_learn::calibrate;
@@ -18,9 +17,7 @@ use flip_learn::train::evaluate::Dose;
 use flip_sim::batch::heaps::{Wanted, pour_on};
 use flip_sim::batch::{Engine, Failed, Place, Several, side_by_side};
 use flip_sim::dispense;
-use flip_sim::mechanisms::OUTSIDE;
 use flip_sim::repose::{Refusal, Repose};
-use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -70,29 +67,12 @@ pub(super) async fn found(functions: &Functions) -> Result<String, String> {
         .unwrap_or_else(|error| Err(format!("the card was not looked for ({error})")))
 }
 
-/// Whether a device can compute spoons of these settings, whose powders are changed by these patches.
+/// Whether a device can compute spoons of these settings.
 ///
 /// # Errors
-/// `device`, and each mechanism or number that is in the way.
-pub fn can_compute<'a>(
-    device: Device,
-    spoon: &dispense::Settings,
-    patches: impl Iterator<Item = &'a Patch>,
-) -> Result<(), FieldError> {
-    if device.is_cpu() {
-        return Ok(());
-    }
-    let patched = patches
-        .flat_map(|patch| &patch.amplitudes)
-        .filter(|(name, amplitude)| **amplitude != 0.0 && !OUTSIDE.contains(&name.as_str()))
-        .map(|(name, _)| name.as_str());
-    let only_inside: BTreeSet<&str> =
-        spoon.extensions.only_inside().into_iter().chain(patched).collect();
-    if !only_inside.is_empty() {
-        let names: Vec<String> = only_inside.iter().map(|name| format!("`{name}`")).collect();
-        return Err(cannot(&format!("the mechanisms {}", names.join(", "))));
-    }
-    has_room(spoon.particles, "on a spoon")
+/// `device`: a spoon has more grains than a card has room for.
+pub fn can_compute(device: Device, spoon: &dispense::Settings) -> Result<(), FieldError> {
+    if device.is_cpu() { Ok(()) } else { has_room(spoon.particles, "on a spoon") }
 }
 
 /// Whether a device can pour the heaps of a calibration.

@@ -89,13 +89,9 @@ async fn an_evaluation_on_a_card_is_another_job_names_the_card_and_is_no_evidenc
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_mechanism_that_the_card_lacks_is_refused_by_its_name() {
+async fn grains_that_a_card_has_no_room_for_are_refused_with_their_number() {
     let (_folder, app) = open(with_card(ToyCard::default())).await;
     calibrated(&app, "sand").await;
-    let uneven =
-        EvaluationRequest { extensions: [("size_spread".into(), 0.1)].into(), ..on_card() };
-    let (field, message) = refused(&app, uneven).await;
-    assert!(field == "device" && message.contains("`size_spread`"), "{message}");
     let many = EvaluationRequest { particles: Some(3000), ..on_card() };
     let (field, message) = refused(&app, many).await;
     assert!(field == "device" && message.contains("3000 grains"), "{message}");

@@ -30,8 +30,8 @@ struct Strengths {
 };
 
 #if defined(FLIP_EXTENDED)
-// Mechanisms beyond the base simulator, for grains of one size: the text of flip-sim's mechanisms. One
-// of strength 0 does nothing.
+// Mechanisms beyond the base simulator: the text of flip-sim's mechanisms. One of strength 0 does
+// nothing.
 struct Mechanisms {
     float ease;                            // change of spin per torque over mass
     float rolling;                         // largest rolling torque over push and radius
@@ -44,6 +44,7 @@ struct Mechanisms {
     float inverse_length;                  // 1 / length over which its pull falls
     float air, inertia;                    // share of a slow velocity that air takes; more by its size
     float vibration;                       // peak acceleration of the spoon
+    float widest;                          // largest radius; 1/2 where all grains are of one size
     Bits pace;                             // turns of the vibration a substep, in 2^-32
 };
 #endif
@@ -76,6 +77,15 @@ FN float pair_reach(const Law& law) {
 }
 
 constexpr float RADIUS = 0.5f;
+
+FN float widest_of(const Law& law) {
+#if defined(FLIP_EXTENDED)
+    return law.more.widest;
+#else
+    return RADIUS;
+#endif
+}
+
 constexpr float NEAREST = 1e-6f;           // lower limit of distances
 constexpr float NEVER = 3.0e38f;           // a gap that is never closed
 
@@ -220,14 +230,14 @@ struct Rolled {
     Vec stretch;
 };
 
-// An elastic spring with a slider, as friction. `side` is 1 between grains, and 2 at a wall, which
-// does not yield.
-FN Rolled resist(const Mechanisms& m, Vec stretch, Vec turning, float side, float push) {
+// An elastic spring with a slider, as friction. `side` is the reduced mass of two grains, twice over,
+// and 2 at a wall, which does not yield.
+FN Rolled resist(const Mechanisms& m, Vec stretch, Vec turning, float radius, float side, float push) {
     if (m.rolling == 0.0f) return Rolled{vec(0.0f, 0.0f, 0.0f), vec(0.0f, 0.0f, 0.0f)};
     Vec s = add(stretch, turning);
-    float r2 = RADIUS * RADIUS * side, k = m.stiffness * r2, c = m.damping * r2;
+    float r2 = radius * radius * side, k = m.stiffness * r2, c = m.damping * r2;
     Vec torque = add(scale(s, k), scale(turning, c));
-    float limit = m.rolling * RADIUS * push, size2 = dot(torque, torque);
+    float limit = m.rolling * radius * push, size2 = dot(torque, torque);
     if (!(limit * limit < size2)) return Rolled{torque, s};
     torque = scale(torque, limit * inverse_root(size2));
     return Rolled{torque, scale(torque, 1.0f / k)};
@@ -243,10 +253,33 @@ FN float bridged(const Mechanisms& m, float gap) {
 }
 
 // A velocity after the drag of air, taken implicitly.
-FN Vec slowed(const Mechanisms& m, Vec u) {
+FN Vec slowed(const Mechanisms& m, Vec u, float radius) {
     if (m.air == 0.0f) return u;
-    float rate = m.air * (1.0f + m.inertia * root(dot(u, u)));
+    float smallness = radius == RADIUS ? 1.0f : RADIUS / radius;
+    float reynolds = m.inertia * root(dot(u, u)) / smallness;
+    float rate = m.air * smallness * smallness * (1.0f + reynolds);
     return scale(u, over(1.0f, 1.0f + rate));
+}
+
+// Mass over that of a mean grain.
+FN float mass_of(float radius) {
+    float diameter = radius + radius;
+    return diameter * diameter * diameter;
+}
+
+// What the sizes of two grains in contact change.
+struct Sizes {
+    float lever;                           // share of the distance on the first one's side
+    float reduced;                         // twice the reduced mass
+    float effective;                       // diameter, with which attraction grows
+    float rolling;                         // radius
+};
+
+FN Sizes sizes_of(float a, float b) {
+    if (a == RADIUS && b == RADIUS) return Sizes{0.5f, 1.0f, 1.0f, RADIUS};
+    float mine = mass_of(a), theirs = mass_of(b);
+    return Sizes{a / (a + b), (mine + mine) * theirs / (mine + theirs), 4.0f * a * b / (a + b),
+                 (a + a) * b / (a + b)};
 }
 
 // The sine of a phase in 2^-32 of a turn, by its series about the nearest zero.
@@ -265,10 +298,10 @@ FN float shaken(const Mechanisms& m, int substep) {
 }
 
 // Pulls of the spoon beside its adhesion.
-FN float attract_more(float gap, float clings, const Mechanisms& m) {
+FN float attract_more(float gap, float radius, float clings, const Mechanisms& m) {
     float above = larger(0.0f, gap);
     float film = (m.film + m.cling * clings) * larger(0.0f, 1.0f - above * m.film_ramp);
-    float share = over(RADIUS, RADIUS + above);
+    float share = over(radius, radius + above);
     return film + (gap < m.charge_reach ? m.charge * share * share : 0.0f);
 }
 #endif

@@ -245,6 +245,9 @@ struct Seeker {
     Vec x, v;
     Carried carried;
     bool is_marked, crowded;
+#if defined(FLIP_EXTENDED)
+    float reach;                   // 0 where all grains are of one size
+#endif
 };
 
 // Lists the neighbours among the grains at these places.
@@ -259,6 +262,12 @@ FN void search_line(const Work& work, Memory& now, int i, int from, int end, flo
             if (from + k < end) {
                 Vec r = sub(me.x, first3(work.p[from + k]));
                 Vec u = sub(me.v, first3(velocities(work)[from + k]));
+#if defined(FLIP_EXTENDED)
+                if (me.reach > 0.0f) {
+                    float far = me.reach + velocities(work)[from + k].w;
+                    near2 = far * far;
+                }
+#endif
                 if (approach(r, u, dot(r, r), near2, horizon)) hits |= 1u << k;
             }
         }
@@ -288,6 +297,10 @@ FN bool search(const Work& work, const Law& law, Memory& now, int i, bool is_one
     touching = least(is_marked ? touching - MARKED : touching, CARRIED);
     Seeker me = Seeker{first3(work.p[i]), first3(velocities(work)[i]), Carried{}, is_marked, false};
     float near = 1.0f + pair_reach(law) + 2.0f * SKIN;
+#if defined(FLIP_EXTENDED)
+    // Of the grain itself; those of the others come to it.
+    me.reach = law.more.widest > RADIUS ? velocities(work)[i].w + pair_reach(law) + 2.0f * SKIN : 0.0f;
+#endif
     for (int k = 0; k < CARRIED / 2; k++) me.carried.pairs[k] = 0xffffffffu;
     for (int k = 0; k < touching; k++) remember(me.carried, *carried_place(work, i, k));
     meet();
@@ -333,7 +346,11 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     for (int i = block.thread; i < grains; i += block.threads) {
         int old = work.former[i];
         Vec v = load3(work.v, old);
+#if defined(FLIP_EXTENDED)
+        velocities(work)[i] = with(v, radius_of(work, law, old));
+#else
         velocities(work)[i] = with(v, 0.0f);
+#endif
         Vec off = sub(v, drift);
         fastest2 = larger(dot(off, off), fastest2);
         now.id[i] = was.id[old];
@@ -350,7 +367,7 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
     block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2)));
     block.barrier();
     float fastest = root(float_of(Bits(work.tally[FASTEST])));
-    float spare = 0.5f * (law.cell - (1.0f + pair_reach(law) + 2.0f * SKIN));
+    float spare = 0.5f * (law.cell - (2.0f * widest_of(law) + pair_reach(law) + 2.0f * SKIN));
     float horizon = smaller(HORIZON, spare / larger(fastest, NEAREST));
     if (carry(block, work, was, now, contacts, grains)) fault = OVERFULL;
     int tries = 0;
@@ -371,6 +388,7 @@ FN float build(const Block& block, const Work& work, const Law& law, Spoon& spoo
         store3(work.v, i, first3(velocities(work)[i]));
 #if defined(FLIP_EXTENDED)
         store3(work.spin, i, load3(reinterpret_cast<const float*>(work.torque), i));
+        if (law.more.widest > RADIUS) work.radius[i] = velocities(work)[i].w;
 #endif
     }
     block.barrier();

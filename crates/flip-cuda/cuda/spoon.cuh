@@ -67,13 +67,22 @@ FN void exchange(const Work& work, int i, int j, const Pull& pull) {
 
 FN Pull idle() { return Pull{vec(0.0f, 0.0f, 0.0f), false, false}; }
 
-FN Vec coasting(Vec v, const Law& law, float2 body) {
+FN Vec coasting(const Work& work, int i, Vec v, const Law& law, float2 body) {
     Vec u = scale(vec(v.x + body.x, v.y, v.z + body.y), law.drag);
 #if defined(FLIP_EXTENDED)
-    u = slowed(law.more, u);
+    u = slowed(law.more, u, radius_of(work, law, i));
 #endif
     return u;
 }
+
+#if defined(FLIP_EXTENDED)
+// Whether two grains whose radii have this sum are near enough for any force.
+FN bool is_near(const Pairs& law, float distance2, float radii) {
+    if (law.whole->more.widest == RADIUS) return distance2 < law.near2;
+    float far = radii + pair_reach(*law.whole);
+    return distance2 < far * far;
+}
+#endif
 
 // A pair that touched before, or touches now for the first time; its anchor is kept.
 FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j, bool touched,
@@ -82,23 +91,31 @@ FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j
     float4 mine = work.p[i], other = work.p[j];
     Vec offset = sub(first3(mine), first3(other));
     float distance2 = dot(offset, offset);
+#if defined(FLIP_EXTENDED)
+    float mine_r = radius_of(work, *law.whole, i), other_r = radius_of(work, *law.whole, j);
+    if (!is_near(law, distance2, mine_r + other_r)) return idle();
+#else
     if (!(distance2 < law.near2)) return idle();
+#endif
     Vec velocity = sub(load3(work.v, i), load3(work.v, j));
     float inverse = inverse_root(distance2);
     Vec normal = scale(offset, inverse);
-    float gap = distance2 * inverse - law.onset;
-    float along = 0.0f - attract(gap, c);
 #if defined(FLIP_EXTENDED)
+    Sizes sizes = sizes_of(mine_r, other_r);
+    float gap = distance2 * inverse - (mine_r + other_r + c.onset);
+    float along = 0.0f - attract(gap, c) * sizes.effective;
     const Mechanisms& more = law.whole->more;
     // It forms on contact, and spans a gap until it breaks.
     bool spans = more.bridge > 0.0f && (gap < 0.0f || holds(anchor)) && gap < more.rupture;
-    if (spans) along -= bridged(more, gap);
+    if (spans) along -= bridged(more, gap) * sizes.effective;
     if (!(gap < 0.0f)) return Pull{scale(normal, along), law.attract || spans, false, spans};
     velocity = more.air == 0.0f
         ? scale(velocity, law.whole->drag)
-        : sub(coasting(load3(work.v, i), *law.whole, law.body),
-              coasting(load3(work.v, j), *law.whole, law.body));
+        : sub(coasting(work, i, load3(work.v, i), *law.whole, law.body),
+              coasting(work, j, load3(work.v, j), *law.whole, law.body));
 #else
+    float gap = distance2 * inverse - law.onset;
+    float along = 0.0f - attract(gap, c);
     if (!(gap < 0.0f)) return Pull{scale(normal, along), law.attract, false};
 #endif
     float share = mine.w * other.w;
@@ -106,8 +123,8 @@ FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j
     Vec stuck = touched ? place_of(anchor) : offset;
 #if defined(FLIP_EXTENDED)
     Vec spin = load3(work.spin, i), other_spin = load3(work.spin, j);
-    float lever = 0.5f * distance2 * inverse;
-    Vec carried = cross(normal, scale(add(spin, other_spin), lever));
+    float distance = distance2 * inverse, lever = distance * sizes.lever, other_lever = distance - lever;
+    Vec carried = cross(normal, add(scale(spin, lever), scale(other_spin, other_lever)));
     velocity = add(velocity, carried);
     stuck = sub(stuck, carried);
 #endif
@@ -117,15 +134,18 @@ FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j
 #if defined(FLIP_EXTENDED)
     float4 rolls = touched ? memory.rolls[place] : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
     float age = more.ageing > 0.0f ? rolls.w + 1.0f : 0.0f;
-    along -= aged(more, age);
+    along -= aged(more, age) * sizes.effective;
+    push *= sizes.reduced;
+    held.correction = scale(held.correction, sizes.reduced);
 #endif
     Pull pull = Pull{sub(scale(normal, along + push), held.correction), true, true};
 #if defined(FLIP_EXTENDED)
-    Rolled rolled = resist(more, first3(rolls), sub(spin, other_spin), 1.0f, push);
+    Rolled rolled =
+        resist(more, first3(rolls), sub(spin, other_spin), sizes.rolling, sizes.reduced, push);
     memory.rolls[place] = with(rolled.stretch, age);
-    Vec arm = scale(cross(normal, held.correction), lever);
-    pull.torque = sub(arm, rolled.torque);
-    pull.other_torque = add(arm, rolled.torque);
+    Vec arm = cross(normal, held.correction);
+    pull.torque = sub(scale(arm, lever), rolled.torque);
+    pull.other_torque = add(scale(arm, other_lever), rolled.torque);
 #endif
     return pull;
 }
@@ -134,11 +154,22 @@ FN Pull contact(const Work& work, const Pairs& law, Memory& memory, int i, int j
 FN Pull attraction(const Work& work, const Pairs& law, int i, int j) {
     Vec offset = sub(first3(work.p[i]), first3(work.p[j]));
     float distance2 = dot(offset, offset);
+#if defined(FLIP_EXTENDED)
+    float mine = radius_of(work, *law.whole, i), other = radius_of(work, *law.whole, j);
+    if (!is_near(law, distance2, mine + other)) return idle();
+#else
     if (!(distance2 < law.near2)) return idle();
+#endif
     float inverse = inverse_root(distance2);
+#if defined(FLIP_EXTENDED)
+    float gap = distance2 * inverse - (mine + other + law.c.onset);
+    if (gap < 0.0f) return Pull{offset, false, true};
+    float along = 0.0f - attract(gap, law.c) * sizes_of(mine, other).effective;
+#else
     float gap = distance2 * inverse - law.onset;
     if (gap < 0.0f) return Pull{offset, false, true};
     float along = 0.0f - attract(gap, law.c);
+#endif
     return Pull{scale(offset, inverse * along), law.attract, false};
 }
 
@@ -200,6 +231,8 @@ FN Pull wall_contact(const Work& work, const Law& law, Memory& memory, int i, fl
     const Strengths& c = law.wall;
     Touch near = nearest(law, first3(p));
 #if defined(FLIP_EXTENDED)
+    float radius = radius_of(work, law, i);
+    near.gap += RADIUS - radius;
     if (!(near.gap < larger(c.reach, law.more.charge_reach))) return idle();
 #else
     if (!(near.gap < c.reach)) return idle();
@@ -208,13 +241,15 @@ FN Pull wall_contact(const Work& work, const Law& law, Memory& memory, int i, fl
     float along = 0.0f - attract(gap, c);
 #if defined(FLIP_EXTENDED)
     float4 rolls = memory.stretch[i];
-    along -= attract_more(gap, rolls.w, law.more);
+    along -= attract_more(gap, radius, rolls.w, law.more);
+    // At a wall, the effective radius is the grain's own.
+    if (radius != RADIUS) along *= (radius + radius) / mass_of(radius);
 #endif
     if (!(gap < 0.0f)) return Pull{scale(near.normal, along), true, false};
     float push = separate(gap, dot(u, near.normal), c.normal, c.normal_damping * p.w);
     Vec anchor = touched ? first3(memory.wall[i]) : first3(p);
 #if defined(FLIP_EXTENDED)
-    Vec spin = load3(work.spin, i), carried = cross(near.normal, scale(spin, RADIUS));
+    Vec spin = load3(work.spin, i), carried = cross(near.normal, scale(spin, radius));
     u = add(u, carried);
     anchor = sub(anchor, carried);
 #endif
@@ -224,9 +259,9 @@ FN Pull wall_contact(const Work& work, const Law& law, Memory& memory, int i, fl
     Pull pull = Pull{sub(scale(near.normal, along + push), held.correction), true, true};
 #if defined(FLIP_EXTENDED)
     Vec stretch = touched ? first3(rolls) : vec(0.0f, 0.0f, 0.0f);
-    Rolled rolled = resist(law.more, stretch, spin, 2.0f, push);
+    Rolled rolled = resist(law.more, stretch, spin, radius, 2.0f, push);
     memory.stretch[i] = with(rolled.stretch, rolls.w);
-    pull.torque = sub(scale(cross(near.normal, held.correction), RADIUS), rolled.torque);
+    pull.torque = sub(scale(cross(near.normal, held.correction), radius), rolled.torque);
 #endif
     return pull;
 }
@@ -239,10 +274,18 @@ FN void add_walls(const Block& block, const Work& work, const Law& law, Memory& 
         Pull pull = idle();
         if (i < grains && work.p[i].x < 0.5f * FAR) {
             bool touched = memory.wall_touches[i] != 0;
-            Vec u = coasting(load3(work.v, i), law, body);
+            Vec u = coasting(work, i, load3(work.v, i), law, body);
             pull = wall_contact(work, law, memory, i, work.p[i], u, touched);
             if (pull.touches != touched) memory.wall_touches[i] = pull.touches;
         }
+#if defined(FLIP_EXTENDED)
+        // What a wall does is by mass, what grains do to each other is not.
+        if (law.more.widest > RADIUS && i < grains) {
+            float mass = mass_of(work.radius[i]);
+            pull.correction = scale(pull.correction, mass);
+            pull.torque = scale(pull.torque, mass);
+        }
+#endif
         meet();
         if (pull.acts) give(work, i, in_units(pull.correction, pull.touches));
 #if defined(FLIP_EXTENDED)
@@ -280,13 +323,16 @@ struct Check {
 };
 
 // Writes down a grain that left.
-FN void note(const Work& work, const Losses& losses, const Check& check, Vec x, Vec v) {
+FN void note(const Work& work, const Losses& losses, const Check& check, unsigned id, Vec x, Vec v) {
     take_ticket(&work.tally[LISTED_LEFT], 1);
     take_ticket(&work.tally[LEFT], 1);
     Departed& gone = losses.list[take_ticket(losses.count, 1)];
     gone.place = check.place;
     gone.part = check.part;
     gone.substep = check.substep;
+#if defined(FLIP_EXTENDED)
+    gone.id = id;
+#endif
     store3(gone.x, 0, x);
     store3(gone.v, 0, v);
 }
@@ -294,7 +340,7 @@ FN void note(const Work& work, const Losses& losses, const Check& check, Vec x, 
 // The prediction for one grain; returns whether it strayed from its path.
 FN bool predict_one(const Work& work, const Law& law, const Spoon& spoon, int i, Vec x, Vec v,
                     float share, float2 body, float time) {
-    Vec p = add(x, coasting(v, law, body));
+    Vec p = add(x, coasting(work, i, v, law, body));
     work.p[i] = with(p, share);
     Vec off = sub(p, path_at(law, spoon, i, time));
     return !(dot(off, off) < (SKIN - PATH_ERROR) * (SKIN - PATH_ERROR));
@@ -341,20 +387,33 @@ FN int4 take_sum(const Work& work, int i) {
 FN void spin_up(const Work& work, const Law& law, int i) {
     int4 sum = make_int4(work.torque[i], work.torque[GRAINS + i], work.torque[2 * GRAINS + i], 0);
     for (int k = 0; k < 3; k++) work.torque[k * GRAINS + i] = 0;
-    store3(work.spin, i, add(load3(work.spin, i), scale(correction_of(sum), law.more.ease)));
+    float ease = law.more.ease, radius = radius_of(work, law, i);
+    if (radius != RADIUS) ease *= RADIUS * RADIUS / (radius * radius) / mass_of(radius);
+    store3(work.spin, i, add(load3(work.spin, i), scale(correction_of(sum), ease)));
 }
 #endif
 
+// The velocity of a grain after its corrections.
+FN Vec moved(const Work& work, const Law& law, int i, int4 c, float2 body) {
+#if defined(FLIP_EXTENDED)
+    Vec correction = correction_of(c);
+    if (law.more.widest > RADIUS) correction = scale(correction, 1.0f / mass_of(work.radius[i]));
+    return add(coasting(work, i, load3(work.v, i), law, body), correction);
+#else
+    return add(coasting(work, i, load3(work.v, i), law, body), correction_of(c));
+#endif
+}
+
 // Moves every grain and, if asked to, takes out those that left. Returns the largest squared speed of
 // this thread's grains.
-FN float collect(const Block& block, const Work& work, const Law& law, int grains, float2 body,
-                 const Check& check, const Losses& losses) {
+FN float collect(const Block& block, const Work& work, const Law& law, const Memory& memory,
+                 int grains, float2 body, const Check& check, const Losses& losses) {
     float fastest2 = 0.0f;
     for (int i = block.thread; i < grains; i += block.threads) {
         Vec x = load3(work.x, i);
         if (x.x > 0.5f * FAR) continue;
         int4 c = take_sum(work, i);
-        Vec v = add(coasting(load3(work.v, i), law, body), correction_of(c));
+        Vec v = moved(work, law, i, c, body);
         x = add(x, v);
 #if defined(FLIP_EXTENDED)
         spin_up(work, law, i);
@@ -362,7 +421,7 @@ FN float collect(const Block& block, const Work& work, const Law& law, int grain
         work.p[i].w = share_of(float(c.w));
         float speed2 = dot(v, v);
         if (check.collects && has_left(law, x)) {
-            note(work, losses, check, x, v);
+            note(work, losses, check, memory.id[i], x, v);
             x = vec(FAR, FAR, FAR);
             v = vec(0.0f, 0.0f, 0.0f);
             speed2 = 0.0f;
@@ -385,7 +444,7 @@ FN bool move(const Block& block, const Work& work, const Law& law, const Spoon& 
         Vec x = load3(work.x, i);
         if (x.x > 0.5f * FAR) continue;
         int4 c = take_sum(work, i);
-        Vec v = add(coasting(load3(work.v, i), law, body), correction_of(c));
+        Vec v = moved(work, law, i, c, body);
         x = add(x, v);
 #if defined(FLIP_EXTENDED)
         spin_up(work, law, i);
@@ -424,7 +483,8 @@ FN float substep(const Block& block, const Work& work, const Law& law, Spoon& sp
         run.strayed = block.any(move(block, work, law, spoon, run, body, next));
         return 0.0f;
     }
-    float fastest2 = collect(block, work, law, run.grains, body, check, losses);
+    const Memory& memory = spoon.memory[spoon.head.generation];
+    float fastest2 = collect(block, work, law, memory, run.grains, body, check, losses);
     if (!check.collects) return 0.0f;
     // NaN has more bits than any number.
     block.raise_to(&work.tally[FASTEST], int(bits_of(fastest2) & 0x7fffffffu));

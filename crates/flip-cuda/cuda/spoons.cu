@@ -47,6 +47,9 @@ FN void spoons(const Job* jobs, const Law* laws, Spoon* all, const Part* parts,
         rest += 6 * GRAINS;
 #endif
     }
+#if defined(FLIP_EXTENDED)
+    work.radius = all[job.spoon].radius;
+#endif
     work.present = reinterpret_cast<Place*>(rest);
     work.former = work.present + GRAINS;
     work.first = work.former + GRAINS;

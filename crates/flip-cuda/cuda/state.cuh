@@ -50,6 +50,7 @@ struct Spoon {
     float4 v[GRAINS];
 #if defined(FLIP_EXTENDED)
     float4 spin[GRAINS];           // radians per substep
+    float radius[GRAINS];
 #endif
     Memory memory[2];
     Bits path[3][GRAINS];          // each grain's since the list was built: see list.cuh
@@ -93,6 +94,9 @@ struct Departed {
     int part;
     int substep;                   // of the part's motion; -1 during its rest
     float x[3], v[3];
+#if defined(FLIP_EXTENDED)
+    unsigned id;
+#endif
 };
 
 // The grains that left, of all jobs, in no particular order.
@@ -114,9 +118,16 @@ struct Work {
     int* tally;                    // counters shared by the block
 #if defined(FLIP_EXTENDED)
     float* spin;                   // three numbers each
-    int* torque;                   // sum of torques over mass, fixed point: all x, all y, all z
+    int* torque;                   // sum of torques, fixed point: all x, all y, all z
+    float* radius;                 // in the card's memory
 #endif
 };
+
+#if defined(FLIP_EXTENDED)
+FN float radius_of(const Work& work, const Law& law, int i) {
+    return law.more.widest > RADIUS ? work.radius[i] : RADIUS;
+}
+#endif
 
 // Counters of a block.
 enum Tally {

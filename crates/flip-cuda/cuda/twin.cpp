@@ -53,6 +53,9 @@ int main(int count, char** arguments) {
     work.torque = torque.data();
 #endif
     for (const Job& job : jobs) {
+#if defined(FLIP_EXTENDED)
+        work.radius = spoons[job.spoon].radius;
+#endif
         work_on(Block{0, 1}, work, laws[job.law], spoons[job.spoon], job, parts.data(),
                 bodies.data(), added.data(), rests.data(), Losses{&lost, departed.data()},
                 outcomes[job.place]);

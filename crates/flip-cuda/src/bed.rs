@@ -14,34 +14,31 @@ pub struct Bed {
     pub(crate) law: Vec<u32>,
     pub(crate) image: Vec<u32>,
     pub(crate) grains: u32,
+    /// Of all grains, relative to a mean one.
+    pub(crate) mass: f64,
     pub(crate) pitch_deg: f64,
 }
 
-/// Why a spoon cannot go onto a card.
+/// Why a spoon cannot go onto a card: too many grains, or too many contacts of one grain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Refused {
-    /// The kernels know the base simulator and [`flip_sim::mechanisms::OUTSIDE`].
-    #[error("the powder has mechanisms that a card cannot compute; use the CPU")]
-    Mechanisms,
-    /// Too many grains, or too many contacts of one grain.
-    #[error(
-        "a spoon on a card has at most 2560 grains with 32 contacts each, this one has {0} grains; use the CPU"
-    )]
-    TooMany(usize),
-}
+#[error(
+    "a spoon on a card has at most 2560 grains with 32 contacts each, this one has {0} grains; use the CPU"
+)]
+pub struct TooMany(pub usize);
 
 impl Bed {
     /// Takes the spoon as it is.
     ///
     /// # Errors
-    /// [`Refused`]: a powder or a spoonful that a card cannot compute.
-    pub fn of(dispenser: &Dispenser) -> Result<Self, Refused> {
-        let shape = dispenser.spoon().ok_or(Refused::Mechanisms)?;
+    /// [`TooMany`]
+    pub fn of(dispenser: &Dispenser) -> Result<Self, TooMany> {
+        let shape = dispenser.spoon();
         let state = dispenser.state();
         let grains = state.grains.len();
-        let image = layout::image(Kernel::of(&shape), &state).ok_or(Refused::TooMany(grains))?;
+        let image = layout::image(Kernel::of(&shape), &state).ok_or(TooMany(grains))?;
         Ok(Self {
             law: layout::law(&shape),
+            mass: state.grains.iter().map(|grain| shape.mass(grain.id)).sum(),
             shape,
             image,
             grains: grains as u32,
@@ -60,6 +57,6 @@ impl Bed {
 
     /// Powder in it, mg.
     pub fn mg(&self) -> f64 {
-        f64::from(self.grains) * self.shape.grain_mg
+        self.mass * self.shape.grain_mg
     }
 }

@@ -3,7 +3,7 @@
 use crate::found::{Found, find, lacking};
 use crate::layout::{self, Kernel};
 use crate::orders::{Orders, Raw};
-use crate::{Refused, Result};
+use crate::{Result, TooMany};
 use cudarc::driver::sys::{CUdevice_attribute, CUevent_flags, CUfunction_attribute};
 use cudarc::driver::{
     CudaContext, CudaFunction, CudaModule, CudaSlice, CudaStream, DeviceRepr, DriverError,
@@ -92,7 +92,7 @@ pub enum CardError {
     Unfit(&'static str),
     /// A spoonful that a card cannot compute.
     #[error(transparent)]
-    Refused(#[from] Refused),
+    TooMany(#[from] TooMany),
 }
 
 impl From<DriverError> for CardError {
@@ -290,7 +290,7 @@ impl Card {
         let mut outcomes = stream.alloc_zeros::<u32>(jobs * layout::OUTCOME)?;
         let aside = if self.is_small { jobs * self.layout.room() } else { 16 };
         let (departed, aside) = (
-            at_least(&mut room.departed, stream, jobs * layout::GRAINS * layout::DEPARTED)?,
+            at_least(&mut room.departed, stream, jobs * layout::GRAINS * self.layout.departed())?,
             at_least(&mut room.aside, stream, aside)?,
         );
         let shared = shared(self.layout, self.is_small);
@@ -316,7 +316,7 @@ impl Card {
         let kernel_s = start.elapsed().as_secs_f64();
         let lost = stream.clone_dtoh(&lost)?;
         stream.synchronize()?;
-        let lost = lost.first().map_or(0, |count| *count as usize) * layout::DEPARTED;
+        let lost = lost.first().map_or(0, |count| *count as usize) * self.layout.departed();
         let raw = Raw {
             outcomes: stream.clone_dtoh(&outcomes)?,
             rests: stream.clone_dtoh(&rests)?,

@@ -1,7 +1,7 @@
 //! What only a card can show. Each test prints why it is skipped where there is none.
 
 use crate::orders::{self, Task};
-use crate::twin::{self, tests::small, tests::turning, tests::wet};
+use crate::twin::{self, tests::small, tests::turning, tests::uneven, tests::wet};
 use crate::{Bed, Card, CardError, Poured, Result, Spoons};
 use flip_core::domain::bench::Action;
 use flip_sim::dispense::Dispenser;
@@ -25,9 +25,9 @@ fn beds() -> Vec<Bed> {
     of(&[small(0.0, 0.4), small(0.6, 0.5), small(0.2, 0.9)])
 }
 
-/// The same of grains that turn, and of some that are wet.
+/// The same of grains that turn, of some that are wet, and of unequal ones.
 fn turning_beds() -> Vec<Bed> {
-    of(&[turning(0.0, 0.4), turning(0.6, 0.5), wet(0.2, 0.4)])
+    of(&[turning(0.0, 0.4), wet(0.2, 0.4), uneven(0.3, 0.6)])
 }
 
 fn of(spoons: &[Dispenser]) -> Vec<Bed> {
@@ -64,7 +64,8 @@ fn the_exact_kernel_on_a_card_is_the_twin_in_every_bit() {
     let mut images: Vec<Vec<u32>> = beds.iter().map(|bed| bed.image.clone()).collect();
     let laws: Vec<Vec<u32>> = beds.iter().map(|bed| bed.law.clone()).collect();
     let mut spoons = Spoons::new(&card, beds.clone(), beds.len()).expect("the card works");
-    let mut last: Vec<(f64, u32)> = beds.iter().map(|bed| (0.0, bed.grains)).collect();
+    let mut last: Vec<(f64, u32, f64)> =
+        beds.iter().map(|bed| (0.0, bed.grains, bed.mass)).collect();
     for action in ACTIONS {
         let tasks: Vec<Task> = (0..beds.len())
             .map(|k| Task {
@@ -74,6 +75,7 @@ fn the_exact_kernel_on_a_card_is_the_twin_in_every_bit() {
                 pitch_deg: last[k].0,
                 motion: action.into(),
                 grains: last[k].1,
+                mass: last[k].2,
             })
             .collect();
         let orders = orders::plan(&tasks);
@@ -85,7 +87,7 @@ fn the_exact_kernel_on_a_card_is_the_twin_in_every_bit() {
             let on_card = spoons.state(k).expect("the card works");
             assert_eq!(on_card, crate::layout::state(beds[k].kernel(), state), "spoon {k}");
         }
-        last = found.iter().map(|poured| (poured.pitch_deg, poured.kept)).collect();
+        last = found.iter().map(|it| (it.pitch_deg, it.kept, it.kept_mass)).collect();
         images = states;
     }
 }

@@ -17,7 +17,7 @@ const RUNS: u64 = 192;
 /// The 95 % quantile of Student's t for two samples of 192.
 const T: f64 = 1.649;
 
-/// Two powders, a third whose grains turn and are drawn to the spoon, and a wet one that ages.
+/// Two powders, a third whose grains turn and are drawn to the spoon, and a wet one of unequal grains that ages.
 fn powders() -> [(ParameterSet, Settings); 4] {
     let turning = Extensions {
         rotation: 1.0,
@@ -30,6 +30,7 @@ fn powders() -> [(ParameterSet, Settings); 4] {
         consolidation: 0.3,
         humidity: 0.1,
         air: 1.0,
+        size_spread: 0.15,
         vibration_g: 0.2,
         ..Extensions::default()
     };
@@ -146,9 +147,8 @@ fn procedures_side_by_side_on_a_card_are_the_same_bytes_whoever_is_beside_them()
 
 #[test]
 fn what_a_card_cannot_compute_is_refused_in_words() {
-    let mut settings = Settings { particles: 200, ..Settings::default() };
-    settings.extensions.size_spread = 0.2;
-    let uneven = Dispenser::new(&ParameterSet::default(), &settings, 1);
-    let refused = Bed::of(&uneven).expect_err("its grains are of unequal size");
-    assert!(refused.to_string().contains("mechanisms"), "{refused}");
+    let settings = Settings { particles: 2600, ..Settings::default() };
+    let full = Dispenser::loose(&ParameterSet::default(), &settings, 1);
+    let refused = Bed::of(&full).expect_err("there is no room for its grains");
+    assert!(refused.to_string().contains("2600 grains"), "{refused}");
 }

@@ -12,16 +12,14 @@ const CONTACTS: usize = 16384;
 const PAIRS: usize = 16384;
 /// Room for cells of the search grid.
 const CELLS: usize = 4096;
-/// Words of a spoon's head, its law, a part of a plan, a job, an outcome, a grain that is poured, a
-/// departed grain.
+/// Words of a spoon's head, its law, a part of a plan, a job, an outcome, a grain that is poured.
 pub(crate) const HEAD: usize = 32;
 const LAW: usize = 38;
-const MECHANISMS: usize = 18;
+const MECHANISMS: usize = 19;
 pub(crate) const PART: usize = 5;
 pub(crate) const JOB: usize = 7;
 pub(crate) const OUTCOME: usize = 10;
 pub(crate) const ADDED: usize = 7;
-pub(crate) const DEPARTED: usize = 9;
 /// In the second word of a base simulator's anchor: the pair touches now.
 const TOUCHES: u32 = 1 << 31;
 /// In the fourth place of an extended anchor: the pair touches, or only a liquid bridge is left.
@@ -58,9 +56,18 @@ impl Kernel {
         LAW + self.either(0, MECHANISMS)
     }
 
-    /// Words of a spoon before its memories: head, centres, velocities, and spins.
+    /// Words of a spoon before its memories: head, centres, velocities, and spins and radii.
     pub(crate) const fn motion(self) -> usize {
-        HEAD + self.either(8, 12) * GRAINS
+        HEAD + self.either(8, 13) * GRAINS
+    }
+
+    /// Words of a departed grain.
+    pub(crate) const fn departed(self) -> usize {
+        self.either(9, 10)
+    }
+
+    const fn radii(self) -> usize {
+        HEAD + 12 * GRAINS
     }
 
     // Where they begin in a memory, which itself begins with anchors and stretches at the spoon.
@@ -103,7 +110,8 @@ impl Kernel {
     }
 }
 
-/// Side of a grid cell, grain diameters: the search reaches at least this far.
+/// Side of a grid cell, grain diameters: the search reaches at least this far. Larger grains have larger
+/// cells.
 const CELL: f32 = 2.0;
 /// Grains higher than this above the rim share the grid's top cells, grain diameters.
 const HEADROOM: f32 = 10.0;
@@ -122,11 +130,13 @@ pub(crate) fn law(spoon: &Spoon) -> Vec<u32> {
     let mut words = contacts(&spoon.grain, &spoon.wall, drag);
     let mut tell = |numbers: &[f32]| words.extend(numbers.iter().map(|x| x.to_bits()));
     let reach = spoon.mechanisms.map_or(0.0, |it| it.charge_reach).max(spoon.wall.reach);
-    let within = |axis: f32| (1.0 - (0.5 + reach + CLEARANCE) / axis).max(0.0).powi(2);
+    let widest = spoon.mechanisms.map_or(0.5, |it| it.widest);
+    let within = |axis: f32| (1.0 - (widest + reach + CLEARANCE) / axis).max(0.0).powi(2);
     tell(&[spoon.drag, 1.0 / (a * a), 1.0 / (b * b), 1.0 / (c * c), c]);
     tell(&[within(a.min(b).min(c)), within(a.min(b)), spoon.rest_speed * spoon.rest_speed]);
     words.extend([spoon.quiet, spoon.slice]);
-    words.extend(grid([-a - 3.0, -b - 3.0, -c - 1.5], [a + 3.0, b + 3.0, HEADROOM]));
+    let cell = CELL + 2.0 * widest - 1.0;
+    words.extend(grid(cell, [-a - 3.0, -b - 3.0, -c - 1.5], [a + 3.0, b + 3.0, HEADROOM]));
     words.push(0.0f32.to_bits());
     words.extend(spoon.mechanisms.iter().flat_map(mechanisms));
     words
@@ -153,6 +163,7 @@ fn mechanisms(of: &Mechanisms) -> [u32; MECHANISMS] {
         of.air,
         of.air_inertia,
         of.vibration,
+        of.widest,
     ];
     std::array::from_fn(|k| {
         numbers.get(k).map_or_else(|| turns(of.vibration_pace), |x| x.to_bits())
@@ -172,7 +183,7 @@ pub(crate) fn ground(of: &Ground) -> Vec<u32> {
     words.extend([0; 7]);
     words.extend([i32::MAX as u32, of.slice]);
     let wide = of.radius + 3.0;
-    words.extend(grid([-wide, -wide, -2.0], [wide, wide, 1.3 * of.radius + HEADROOM]));
+    words.extend(grid(CELL, [-wide, -wide, -2.0], [wide, wide, 1.3 * of.radius + HEADROOM]));
     words.push(of.radius.to_bits());
     words
 }
@@ -188,9 +199,8 @@ fn contacts(grain: &Strengths, wall: &Strengths, drag: f32) -> Vec<u32> {
     both.iter().flatten().map(|x| x.to_bits()).collect()
 }
 
-/// A grid from corner to corner, with no more cells than there is room for.
-fn grid(low: [f32; 3], high: [f32; 3]) -> [u32; 7] {
-    let mut cell = CELL;
+/// A grid of cells of this size or larger from corner to corner, with no more than there is room for.
+fn grid(mut cell: f32, low: [f32; 3], high: [f32; 3]) -> [u32; 7] {
     let size = loop {
         let size = [0, 1, 2].map(|k| ((high[k] - low[k]) / cell).ceil() as u32);
         if size.iter().product::<u32>() as usize <= CELLS {
@@ -251,6 +261,9 @@ pub(crate) fn image(kernel: Kernel, state: &State) -> Option<Vec<u32>> {
         }
     }
     if kernel == Kernel::Extended {
+        for (i, grain) in state.grains.iter().enumerate() {
+            words[kernel.radii() + i] = grain.radius.to_bits();
+        }
         for (i, it) in state.turning.iter().enumerate() {
             set(&mut words, HEAD + 4 * (2 * GRAINS + i), with(it.spin, 0.0));
             let clings = f32::from(u8::from(it.clings));
@@ -318,6 +331,10 @@ pub(crate) fn state(kernel: Kernel, words: &[u32]) -> State {
         *place = Some(state.grains.len() as u32);
         state.grains.push(Grain {
             id: words[memory + kernel.ids() + i],
+            radius: match kernel {
+                Kernel::Base => 0.5,
+                Kernel::Extended => f32::from_bits(words[kernel.radii() + i]),
+            },
             x: [x, y, z],
             v: [vx, vy, vz],
             // A grain without contacts has the share of one with a single contact.
@@ -407,10 +424,14 @@ pub(crate) fn outcome(words: &[u32]) -> Outcome {
 }
 
 /// A grain that left, with the place of its job.
-pub(crate) fn departed(words: &[u32]) -> (usize, Departed) {
+pub(crate) fn departed(kernel: Kernel, words: &[u32]) -> (usize, Departed) {
     let three = |at: usize| [0, 1, 2].map(|k| f32::from_bits(words[at + k]));
     let substep = (words[2] != u32::MAX).then_some(words[2]);
-    (words[0] as usize, Departed { part: words[1], substep, x: three(3), v: three(6) })
+    let id = match kernel {
+        Kernel::Base => 0,
+        Kernel::Extended => words[9],
+    };
+    (words[0] as usize, Departed { part: words[1], substep, id, x: three(3), v: three(6) })
 }
 
 #[cfg(test)]
@@ -432,6 +453,7 @@ mod tests {
     fn a_state_survives_its_image() {
         let grain = |id: u32, x: f32| Grain {
             id,
+            radius: 0.5,
             x: [x, 0.5, -2.0],
             v: [0.01, 0.0, x],
             contacts: 2.0,

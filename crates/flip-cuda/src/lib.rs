@@ -32,9 +32,8 @@
 //!
 //! # Limits
 //!
-//! Of the mechanisms beyond the base simulator, spoons on a card have those of
-//! [`flip_sim::mechanisms::OUTSIDE`], by a kernel of their own; heaps have none. A spoon or heap has at
-//! most 2560 grains.
+//! Spoons on a card have every mechanism beyond the base simulator, by a kernel of their own; heaps have
+//! none. A spoon or heap has at most 2560 grains.
 
 /// Version of what a card computes of spoons and heaps. It is raised whenever the same inputs give other bytes.
 pub const VERSION: u32 = 4;
@@ -64,7 +63,7 @@ mod spoons;
 #[path = "twin_for_tests.rs"]
 mod twin;
 
-pub use bed::{Bed, GRAINS_MAX, Refused};
+pub use bed::{Bed, GRAINS_MAX, TooMany};
 pub use card::{Card, CardError};
 pub use found::{Found, find, find_all};
 pub use heaps::Heaps;

@@ -1,7 +1,7 @@
 //! What every block has to do in one step, and what came of it: plain words, the same for the card
 //! and for its twin.
 
-use crate::layout::{self, Outcome};
+use crate::layout::{self, Kernel, Outcome};
 use crate::{Poured, Result};
 use flip_sim::batch::Motion;
 use flip_sim::dispense::outside::{Departed, Plan, Spoon};
@@ -16,8 +16,9 @@ pub(crate) struct Task<'a> {
     pub shape: &'a Spoon,
     pub pitch_deg: f64,
     pub motion: Motion,
-    /// Grains in it.
+    /// Grains in it, and their mass relative to a mean grain.
     pub grains: u32,
+    pub mass: f64,
 }
 
 /// The tables for one launch.
@@ -106,8 +107,10 @@ pub(crate) fn plan(tasks: &[Task]) -> Orders {
 /// What each task poured.
 pub(crate) fn poured(tasks: &[Task], orders: &Orders, raw: &Raw) -> Result<Vec<Poured>> {
     let mut departed: Vec<Vec<Departed>> = vec![Vec::new(); tasks.len()];
-    for words in raw.departed.chunks_exact(layout::DEPARTED) {
-        let (place, grain) = layout::departed(words);
+    // All are in one table.
+    let kernel = tasks.first().map_or(Kernel::Base, |task| Kernel::of(task.shape));
+    for words in raw.departed.chunks_exact(kernel.departed()) {
+        let (place, grain) = layout::departed(kernel, words);
         let Some(of_place) = departed.get_mut(place) else {
             return Err(crate::CardError::Nonsense("a grain left a spoon that is not there"));
         };
@@ -128,17 +131,19 @@ pub(crate) fn poured(tasks: &[Task], orders: &Orders, raw: &Raw) -> Result<Vec<P
             .zip(rests)
             .map(|(part, rest)| part.duration_s + f64::from(*rest) * task.shape.substep_s)
             .sum();
-        let mg = |grains: u32| f64::from(grains) * task.shape.grain_mg;
+        let mg = |mass: f64| mass * task.shape.grain_mg;
+        let left_mass = task.mass - (vial + spilled);
         Poured {
             vial_mg: mg(vial),
             spilled_mg: mg(spilled),
-            spoon_mg: mg(outcome.kept),
+            spoon_mg: mg(left_mass),
             duration_s,
             pitch_deg: plan.pitch_deg,
             fault: outcome.fault,
             substeps: outcome.substeps,
             rebuilds: outcome.rebuilds,
             kept: outcome.kept,
+            kept_mass: left_mass,
             left: [vial, spilled],
         }
     }))

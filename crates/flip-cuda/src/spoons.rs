@@ -31,8 +31,10 @@ pub struct Poured {
     /// Neighbour lists built.
     pub rebuilds: u32,
     pub(crate) kept: u32,
-    /// Grains that fell into the vial, and those that missed it.
-    pub(crate) left: [u32; 2],
+    /// Mass of those kept, of those that fell into the vial, and of those that missed it, relative to a
+    /// mean grain.
+    pub(crate) kept_mass: f64,
+    pub(crate) left: [f64; 2],
 }
 
 /// What is known here of a spoon that was filled.
@@ -42,15 +44,17 @@ struct Standing {
     bed: usize,
     pitch_deg: f64,
     grains: u32,
+    /// Of the grains, relative to a mean one.
+    mass: f64,
     substeps: u32,
-    /// Grains in the vial and beside it since it was filled.
-    left: [u32; 2],
+    /// The same in the vial and beside it since it was filled.
+    left: [f64; 2],
 }
 
 impl Standing {
     fn filled(place: usize, bed: &Bed) -> Self {
-        let Bed { grains, pitch_deg, .. } = *bed;
-        Self { bed: place, pitch_deg, grains, substeps: 0, left: [0; 2] }
+        let Bed { grains, mass, pitch_deg, .. } = *bed;
+        Self { bed: place, pitch_deg, grains, mass, substeps: 0, left: [0.0; 2] }
     }
 }
 
@@ -220,8 +224,8 @@ impl Spoons {
             if std::mem::replace(&mut named[spoon], true) {
                 return Err(CardError::Twice(spoon));
             }
-            let Standing { bed: law, pitch_deg, grains, .. } = *standing;
-            tasks.push(Task { spoon, law, shape: &bed.shape, pitch_deg, motion, grains });
+            let Standing { bed: law, pitch_deg, grains, mass, .. } = *standing;
+            tasks.push(Task { spoon, law, shape: &bed.shape, pitch_deg, motion, grains, mass });
         }
         let orders = orders::plan(&tasks);
         let raw = self.card.carry_out(&self.laws, &mut self.words, &orders, &mut self.room)?;
@@ -230,13 +234,13 @@ impl Spoons {
         for (&(spoon, motion), poured) in motions.iter().zip(&poured) {
             let Some(standing) = &mut self.held.standing[spoon] else { continue };
             standing.pitch_deg = poured.pitch_deg;
-            standing.grains = poured.kept;
+            (standing.grains, standing.mass) = (poured.kept, poured.kept_mass);
             standing.substeps += poured.substeps;
             for (sum, more) in standing.left.iter_mut().zip(poured.left) {
                 *sum += more;
             }
             if matches!(motion, Motion::Settle) {
-                standing.left = [0; 2];
+                standing.left = [0.0; 2];
             }
         }
         Ok(poured)
@@ -248,7 +252,7 @@ impl Spoons {
     /// [`CardError`]: a spoon that does not exist or is empty.
     pub fn left_mg(&self, spoon: usize) -> Result<[f64; 2]> {
         let (standing, bed) = self.held.filled(spoon)?;
-        Ok(standing.left.map(|grains| f64::from(grains) * bed.shape.grain_mg))
+        Ok(standing.left.map(|mass| mass * bed.shape.grain_mg))
     }
 
     /// Time that the card took for the last step, s: without planning, copying and judging.

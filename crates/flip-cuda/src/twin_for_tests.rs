@@ -1,7 +1,7 @@
 //! The twin: the kernel's source compiled for this processor, as a program that reads jobs from a
 //! file and writes what became of them.
 
-use crate::layout;
+use crate::layout::{self, Kernel};
 use crate::orders::{Orders, Raw};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -53,8 +53,7 @@ pub(crate) fn carry_out(
     spoons: &[Vec<u32>],
     orders: &Orders,
 ) -> Option<(Vec<Vec<u32>>, Raw)> {
-    // Both kinds of powder have laws of their own length.
-    let extended = laws[0].len() == layout::Kernel::Extended.law();
+    let extended = laws[0].len() == Kernel::Extended.law();
     let twin = if extended { "cuda/extended_twin.cpp" } else { "cuda/twin.cpp" };
     carry_out_by(twin, laws, spoons, orders)
 }
@@ -86,6 +85,8 @@ pub(crate) fn carry_out_by(
     words.extend(&orders.added);
     let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
     std::fs::write(&input, bytes).expect("the jobs are written");
+    // Both kinds of powder have laws of their own length.
+    let extended = laws[0].len() == Kernel::Extended.law();
     let status = Command::new(program).args([&input, &output]).status().expect("the twin runs");
     assert!(status.success(), "the twin failed: {status}");
     let bytes = std::fs::read(&output).expect("the twin's answer is read");
@@ -103,7 +104,7 @@ pub(crate) fn carry_out_by(
         rests: take(parts),
         departed: {
             let lost = take(1)[0] as usize;
-            take(lost * layout::DEPARTED)
+            take(lost * if extended { Kernel::Extended } else { Kernel::Base }.departed())
         },
         kernel_s: 0.0,
     };

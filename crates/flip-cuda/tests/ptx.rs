@@ -17,7 +17,7 @@ fn the_version_is_that_of_these_kernels() {
     let known = (
         4,
         "ad525b44b3c0ef57519300035b81aa00e7424f7703db2b4273b313b2d4408de9",
-        "c9a3292fd2c1614fdfc02404e4ecd84260a3b25959e873fa64d04c864b879a6f",
+        "e4d33b170ce788ba74240990a98720c56361f2b1128ad311aed711bbeee99203",
         "6d070a855754f5285e87f1fc3af8ce8b732fb0bc8049c38aa826abc37a9e7318",
     );
     let [spoons, extended, heaps] =

@@ -90,6 +90,8 @@ pub struct Mechanisms {
     pub vibration: f32,
     /// Its angle, radians per substep, counted from the first substep of the spoon.
     pub vibration_pace: f64,
+    /// Largest radius of a grain, diameters.
+    pub widest: f32,
 }
 
 /// A spoon and its powder's law, without the grains. Lengths in grain diameters and times in
@@ -128,6 +130,8 @@ pub struct Spoon {
 pub struct Grain {
     /// Number in the order of pouring.
     pub id: u32,
+    /// Radius.
+    pub radius: f32,
     /// Centre.
     pub x: [f32; 3],
     /// Velocity.
@@ -211,6 +215,8 @@ pub struct Departed {
     /// Substep of its motion after which the grain was found gone, counted from 0; none during the
     /// rest.
     pub substep: Option<u32>,
+    /// Its number, by which it has its mass; any number where all grains have one size.
+    pub id: u32,
     /// Centre.
     pub x: [f32; 3],
     /// Velocity.
@@ -285,16 +291,25 @@ impl Spoon {
 
     /// A state of this spoon as a [`Snapshot`] at a simulated time.
     pub fn snapshot(&self, state: &State, time_s: f64) -> Snapshot {
-        let centre = |grain: &Grain| [grain.x[0], grain.x[1], grain.x[2], 0.5];
+        let centre = |grain: &Grain| [grain.x[0], grain.x[1], grain.x[2], grain.radius];
         let ids: Vec<u32> = state.grains.iter().map(|grain| grain.id).collect();
         let centres: Vec<_> = state.grains.iter().map(centre).collect();
         Snapshot::of(&ids, &centres, self.law.diameter_m, time_s)
     }
 
-    /// How many of these grains fell into the vial and how many missed it. A grain that names a
-    /// part or substep that the plan does not have counts as having missed.
-    pub fn landed(&self, plan: &Plan, departed: &[Departed]) -> [u32; 2] {
-        let mut landed = [0; 2];
+    /// Mass of a grain with this number, relative to a mean grain.
+    pub fn mass(&self, id: u32) -> f64 {
+        match self.mechanisms.is_some_and(|it| it.widest != 0.5) {
+            true => (2.0 * f64::from(self.law.mechanisms.sizes.radius(id))).powi(3),
+            false => 1.0,
+        }
+    }
+
+    /// Mass of these grains that fell into the vial and mass that missed it, relative to a mean grain. A
+    /// grain that names a part or substep that the plan does not have counts as having missed.
+    pub fn landed(&self, plan: &Plan, departed: &[Departed]) -> [f64; 2] {
+        let mut landed = [0.0; 2];
+        let in_plan = |it: &&Departed| (it.part as usize) < plan.parts.len();
         for (place, part) in plan.parts.iter().enumerate() {
             let of_part = || departed.iter().filter(|it| it.part as usize == place);
             let moving = of_part().any(|it| it.substep.is_some());
@@ -309,10 +324,11 @@ impl Spoon {
                     let departure = Departure { id: 0, x, v };
                     pose.flight(&departure, &self.law).meets_the_mouth(&self.settings)
                 });
-                landed[usize::from(!meets)] += 1;
+                landed[usize::from(!meets)] += self.mass(it.id);
             }
         }
-        landed[1] = departed.len() as u32 - landed[0];
+        let elsewhere = departed.iter().filter(|it| !in_plan(it)).map(|it| self.mass(it.id));
+        landed[1] += elsewhere.sum::<f64>();
         landed
     }
 }
@@ -328,11 +344,10 @@ fn standing(kind: Kind) -> Pose {
 }
 
 impl Dispenser {
-    /// This spoon's shape and law; none if its powder has mechanisms other than
-    /// [`crate::mechanisms::OUTSIDE`], which the numbers cannot express.
-    pub fn spoon(&self) -> Option<Spoon> {
+    /// This spoon's shape and law.
+    pub fn spoon(&self) -> Spoon {
         let law = self.law;
-        self.settings.extensions.only_inside().is_empty().then(|| Spoon {
+        Spoon {
             settings: self.settings,
             law,
             drag: law.drag,
@@ -346,7 +361,7 @@ impl Dispenser {
             rest_speed: (REST_M_S * law.substep_s / law.diameter_m) as f32,
             quiet: law.substeps(REST_S),
             fall_s: self.fall_s,
-        })
+        }
     }
 
     /// The grains in it and the memory of their contacts.
@@ -357,6 +372,7 @@ impl Dispenser {
         let known = grains.ids().iter().zip(grains.wall_anchors());
         let described = moving.zip(known).map(|((x, v), (id, anchor))| Grain {
             id: *id,
+            radius: x[3],
             x: three(x),
             v: three(v),
             contacts: v[3],
@@ -407,7 +423,7 @@ mod tests {
             Settings { particles: 300, semi_axes_mm: [2.4, 1.7, 1.0], ..Default::default() };
         let mut stepped = Dispenser::loose(&ParameterSet::default(), &settings, 3);
         let mut driven = stepped.clone();
-        let spoon = driven.spoon().expect("no mechanisms");
+        let spoon = driven.spoon();
         let mut pitch_deg = 0.0;
         for motion in [
             Motion::Settle,
@@ -430,6 +446,7 @@ mod tests {
                 departed.extend(gone.into_iter().map(|it| Departed {
                     part: part as u32,
                     substep,
+                    id: it.id,
                     x: [it.x[0], it.x[1], it.x[2]],
                     v: [it.v[0], it.v[1], it.v[2]],
                 }));
@@ -452,9 +469,9 @@ mod tests {
                 duration_s += part.duration_s + f64::from(spent) * spoon.substep_s;
             }
             let settles = matches!(motion, Motion::Settle);
-            let [vial, spilled] = if settles { [0; 2] } else { spoon.landed(&plan, &departed) };
-            assert!((poured.vial_mg - f64::from(vial) * spoon.grain_mg).abs() < 1e-9);
-            assert!((poured.spilled_mg - f64::from(spilled) * spoon.grain_mg).abs() < 1e-9);
+            let [vial, spilled] = if settles { [0.0; 2] } else { spoon.landed(&plan, &departed) };
+            assert!((poured.vial_mg - vial * spoon.grain_mg).abs() < 1e-9);
+            assert!((poured.spilled_mg - spilled * spoon.grain_mg).abs() < 1e-9);
             assert!((poured.duration_s - duration_s).abs() < 1e-9);
             assert_eq!(stepped.state(), driven.state());
             let seen = spoon.snapshot(&driven.state(), driven.snapshot().time_s);

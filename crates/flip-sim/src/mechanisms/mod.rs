@@ -119,32 +119,11 @@ impl Extensions {
         Ok(self)
     }
 
-    /// The names of those at work that a solver outside this crate cannot have ([`OUTSIDE`]).
-    pub fn only_inside(mut self) -> Vec<&'static str> {
-        let all = self.amplitudes().into_iter();
-        all.filter(|(name, amplitude, _)| **amplitude != 0.0 && !OUTSIDE.contains(name))
-            .map(|(name, ..)| name)
-            .collect()
-    }
-
     /// Whether every amplitude is zero.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 }
-
-/// Mechanisms whose numbers a solver outside this crate is given.
-pub const OUTSIDE: [&str; 9] = [
-    "rotation",
-    "rolling_friction",
-    "consolidation",
-    "humidity",
-    "spoon_adhesion",
-    "hold_up",
-    "vibration_g",
-    "charge",
-    "air",
-];
 
 /// Kind of walls in a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -301,7 +280,7 @@ impl Mechanisms {
         }
     }
 
-    /// The numbers of [`OUTSIDE`].
+    /// What a solver outside this crate has to know of them.
     pub(super) fn outside(&self) -> outside::Mechanisms {
         let [rolling_friction, rolling_stiffness, rolling_damping] = self.rolling.numbers();
         let [film, cling, film_reach] = self.film.numbers();
@@ -329,6 +308,7 @@ impl Mechanisms {
             air_inertia,
             vibration: vibration as f32,
             vibration_pace,
+            widest: self.sizes.widest(),
         }
     }
 

@@ -20,6 +20,14 @@ impl Sizes {
         Self { spread: extensions.size_spread }
     }
 
+    /// No radius is larger, diameters.
+    pub(crate) fn widest(&self) -> f32 {
+        if self.spread == 0.0 {
+            return 0.5;
+        }
+        (0.5 * libm::exp(self.spread * CUT - 1.5 * self.spread * self.spread)) as f32
+    }
+
     /// Radius of a grain, drawn by its id (order of pouring), diameters.
     pub(crate) fn radius(&self, id: u32) -> f32 {
         if self.spread == 0.0 {

@@ -62,6 +62,7 @@ fn obeyed(heap: &mut Physical, order: &Order) -> Stand {
     }
     heap.advance(order.substeps);
     let grain = |x: &Vector| Grain {
+        radius: x[3],
         id: 0,
         x: [x[0], x[1], x[2]],
         v: [0.0; 3],
