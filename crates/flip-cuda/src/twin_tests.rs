@@ -258,6 +258,27 @@ fn one_substep_of_the_twin_is_one_of_flip_sim_to_float_rounding() {
 }
 
 #[test]
+fn the_twin_has_every_mechanism_that_flip_sim_has() {
+    let names = Extensions::default().amplitudes().map(|(name, _, most)| (name, 0.5 * most));
+    for (name, amplitude) in names {
+        // Rolling resists nothing where grains do not turn.
+        let turning = Extensions { rotation: 1.0, ..Extensions::default() };
+        let extensions = turning.with(name, amplitude).expect("half of the largest");
+        let mut dispenser = of(Dispenser::new, 0.3, 0.6, extensions);
+        let bodies = bodies(&dispenser);
+        dispenser.drive(&bodies[..200]);
+        let law = layout::law(&dispenser.spoon());
+        let orders = driven(1, &[bodies[200..201].to_vec()]);
+        let Some((states, _)) = carry_out(&[law], &[image(&dispenser)], &orders) else { return };
+        dispenser.drive(&bodies[200..201]);
+        let (apart, _) =
+            differences(&layout::state(kernel(&dispenser), &states[0]), &dispenser.state());
+        println!("{name}: {apart:?}");
+        assert!(apart[1] < 6e-7 && apart[4] < 6e-6, "{name}: {apart:?}");
+    }
+}
+
+#[test]
 fn the_twin_stays_beside_flip_sim_for_hundreds_of_substeps() {
     for dispenser in [small(0.3, 0.6), turning(0.3, 0.6), wet(0.3, 0.6), uneven(0.3, 0.6)] {
         stays_beside(dispenser);

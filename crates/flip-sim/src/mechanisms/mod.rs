@@ -3,7 +3,8 @@
 //!
 //! A mechanism acts through one hook per kind of event ([`Mechanism`]): a step of the frame, a
 //! grain's predicted velocity, a pair of grains, a contact with a wall. To add one, create its
-//! file, a field of [`Extensions`], a field of [`Mechanisms`] and its place in `each!`.
+//! file, a field of [`Extensions`], a field of [`Mechanisms`] and its place in `each!`; and what a
+//! solver outside this crate has to know of it ([`outside::Mechanisms`]).
 //!
 //! With every amplitude at zero the kernel is compiled without any of this. Results would be the
 //! same: at zero amplitude each hook is the bitwise identity, which `sim/mechanisms/tests.rs`
@@ -280,17 +281,20 @@ impl Mechanisms {
         }
     }
 
-    /// What a solver outside this crate has to know of them.
+    /// What a solver outside this crate has to know of them. Takes every field apart, so that none can
+    /// be left out there in silence.
     pub(super) fn outside(&self) -> outside::Mechanisms {
-        let [rolling_friction, rolling_stiffness, rolling_damping] = self.rolling.numbers();
-        let [film, cling, film_reach] = self.film.numbers();
-        let [charge, charge_reach] = self.charge.numbers();
-        let [ageing, ageing_half_life] = self.consolidation.numbers();
-        let [bridge, bridge_rupture, bridge_inverse_length] = self.bridges.numbers();
-        let [air, air_inertia] = self.air.numbers();
-        let [vibration, vibration_pace] = self.vibration.numbers();
+        let Self { freedom, sizes, film, rolling, consolidation, bridges, vibration, charge, air } =
+            self;
+        let [rolling_friction, rolling_stiffness, rolling_damping] = rolling.numbers();
+        let [film, cling, film_reach] = film.numbers();
+        let [charge, charge_reach] = charge.numbers();
+        let [ageing, ageing_half_life] = consolidation.numbers();
+        let [bridge, bridge_rupture, bridge_inverse_length] = bridges.numbers();
+        let [air, air_inertia] = air.numbers();
+        let [vibration, vibration_pace] = vibration.numbers();
         outside::Mechanisms {
-            freedom: self.freedom,
+            freedom: *freedom,
             rolling_friction,
             rolling_stiffness,
             rolling_damping,
@@ -308,7 +312,7 @@ impl Mechanisms {
             air_inertia,
             vibration: vibration as f32,
             vibration_pace,
-            widest: self.sizes.widest(),
+            widest: sizes.widest(),
         }
     }
 
