@@ -14,7 +14,7 @@
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: a quarter of an hour (ARGS='--episodes 40')
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped, the network is cut, the disk fills up and clocks are set: an hour or two (ARGS='10 2': 10 % of the faults, seed)
-# make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, heaps, a calibration, an evaluation and a training by the commands; without a card it says so; not run whole yet (ARGS=speed)
+# make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, heaps, a calibration, an evaluation and a training by the commands; without a card it says so; run in two parts so far (ARGS=speed)
 # make published-experiment   four orders, five seeds, 4000 episodes each, in the simulator on a graphics card, and doses with all policies: a quarter of an hour, stop it and call it again (STUDY=feed-forward ARGS=seconds=600)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)

@@ -1,6 +1,6 @@
 //! Whether a card and this process still have the memory they had, after very many launches.
 
-use crate::powders::{filled, powder};
+use crate::powders::{cores, filled, powder};
 use flip_core::domain::bench::Action;
 use flip_cuda::{Bed, Card, CardError, Result, Spoons};
 use flip_sim::dispense::Settings;
@@ -21,24 +21,29 @@ pub fn report(card: &Card, launches: usize) -> Result<()> {
         .iter()
         .map(Bed::of)
         .collect::<std::result::Result<_, _>>()?;
-    let mut spoons = Spoons::new(card, beds, 1)?;
+    // One such spoon leaves nearly all of a card idle, so each core launches one of its own, in a
+    // stream of its own.
+    let alone = || Spoons::new(&Card::open(0)?, beds.clone(), 1);
+    let mut spoons = (0..cores()).map(|_| alone()).collect::<Result<Vec<_>>>()?;
     let mut substeps = 0;
     let mut launch = |many: usize| -> Result<()> {
-        for k in 0..many {
-            let turn = if k % 2 == 0 { TURN_DEG } else { -TURN_DEG };
-            let poured = spoons.step(&[(0, Action::once(turn, 0.0))])?;
-            if let Some(fault) = poured.iter().find_map(|it| it.fault.as_ref()) {
-                println!("fault: {fault}");
-                return Err(CardError::Nonsense("a spoon that only turns has no fault"));
-            }
-            substeps += poured.iter().map(|it| u64::from(it.substeps)).sum::<u64>();
-        }
+        let share = |at: usize, of: usize| (at + 1) * many / of - at * many / of;
+        let of = spoons.len();
+        let done = std::thread::scope(|scope| {
+            let threads = spoons.iter_mut().enumerate();
+            let threads =
+                threads.map(|(at, spoon)| scope.spawn(move || turns(spoon, share(at, of))));
+            let threads: Vec<_> = threads.collect();
+            let all = threads.into_iter().map(|thread| thread.join().expect("does not panic"));
+            all.collect::<Result<Vec<_>>>()
+        });
+        substeps += done?.iter().sum::<u64>();
         Ok(())
     };
     launch(FIRST)?;
     let (free, resident) = (card.free_bytes()?, resident_kib());
     let (begun, mut done) = (Instant::now(), 0);
-    println!("\n## Launches of a spoon of {GRAINS} grains\n");
+    println!("\n## Launches of a spoon of {GRAINS} grains, {} side by side\n", cores());
     println!(
         "| launches | s | more of the card's memory taken, bytes | more of this process's, KiB |"
     );
@@ -53,6 +58,21 @@ pub fn report(card: &Card, launches: usize) -> Result<()> {
     }
     println!("\n{:.1} substeps each", substeps as f64 / (FIRST + launches) as f64);
     Ok(())
+}
+
+/// Turns a spoon there and back, a launch each; the substeps of all.
+fn turns(spoon: &mut Spoons, launches: usize) -> Result<u64> {
+    let mut substeps = 0;
+    for k in 0..launches {
+        let turn = if k % 2 == 0 { TURN_DEG } else { -TURN_DEG };
+        let poured = spoon.step(&[(0, Action::once(turn, 0.0))])?;
+        if let Some(fault) = poured.iter().find_map(|it| it.fault.as_ref()) {
+            println!("fault: {fault}");
+            return Err(CardError::Nonsense("a spoon that only turns has no fault"));
+        }
+        substeps += poured.iter().map(|it| u64::from(it.substeps)).sum::<u64>();
+    }
+    Ok(substeps)
 }
 
 /// Memory that this process has at hand, KiB; 0 where the system does not say.
