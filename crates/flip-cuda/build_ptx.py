@@ -21,6 +21,7 @@ BUILDS = {
     "spoons.ptx": ["-ftz=true", "spoons.cu"],
     "spoons_extended.ptx": ["-ftz=true", "-DFLIP_EXTENDED", "spoons.cu"],
     "heaps.ptx": ["-ftz=true", "-DFLIP_HEAPS", "spoons.cu"],
+    "heaps_extended.ptx": ["-ftz=true", "-DFLIP_HEAPS", "-DFLIP_EXTENDED", "spoons.cu"],
     "spoons_exact.ptx": ["-fmad=false", "-DFLIP_EXACT", "spoons.cu"],
     # Fused where the source says so, as on a processor.
     "learner.ptx": ["-fmad=false", "learner.cu"],

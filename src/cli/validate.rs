@@ -50,7 +50,7 @@ pub(super) fn run(common: &Common, arguments: &Arguments) -> Result<(), Failure>
     let extensions = parameters::extensions(&arguments.extension)?;
     let device = arguments.device.device();
     if !device.is_cpu() {
-        refuse_on_a_card(&chosen, &arguments.only, &extensions)?;
+        refuse_on_a_card(&chosen, &arguments.only)?;
     }
     let suite = Suite::extended(extensions);
     let engine = local_engine(device)?;
@@ -126,15 +126,7 @@ fn measure(chosen: &[Experiment], suite: &Suite) -> Vec<Check> {
 }
 
 /// What a card cannot compute of what was asked for by name.
-fn refuse_on_a_card(
-    chosen: &[Experiment],
-    only: &[String],
-    extensions: &Extensions,
-) -> Result<(), FieldError> {
-    if !extensions.is_none() {
-        let advice = "`cuda` pours heaps without mechanisms: leave this or `device` out";
-        return Err(FieldError::new("extension", advice));
-    }
+fn refuse_on_a_card(chosen: &[Experiment], only: &[String]) -> Result<(), FieldError> {
     let off = chosen.iter().find(|experiment| !experiment.is_on_engines());
     match off.filter(|_| !only.is_empty()) {
         None => Ok(()),

@@ -48,16 +48,13 @@ fn what_a_card_cannot_compute_is_refused_by_name_and_without_a_card_it_says_so()
         &["only: `cuda` cannot compute `free_fall`", "leave it or"],
     );
     refused(
-        &["validate", "--extension", "rotation=1"],
-        &["extension: `cuda`", "without mechanisms"],
-    );
-    refused(
         &["observe", "shake_mass:pitch_deg=30,shake_mm=4", "drained_angle"],
         &["experiments: `cuda` cannot simulate `drained_angle`", "leave it or"],
     );
     if flip_cuda::find_all().is_err() {
         let said = ["device: no graphics card", "leaving this field out"];
         refused(&["validate", "--only", "rest_creep"], &said);
+        refused(&["validate", "--extension", "rotation=1"], &said);
         refused(&["observe", "shake_mass:pitch_deg=30,shake_mm=4"], &said);
     }
 }

@@ -16,7 +16,6 @@ constexpr bool EXTENDED = true;
 #else
 constexpr bool EXTENDED = false;
 #endif
-static_assert(!(HEAPS && EXTENDED), "heaps have no mechanisms yet");
 
 // One kind of contact; shares are of one substep and one side.
 struct Strengths {

@@ -542,6 +542,11 @@ FN void pour(const Block& block, const Work& work, Spoon& spoon, const Job& job,
         work.p[i].w = 1.0f;
         memory.id[i] = grain.id;
         memory.wall_touches[i] = 0;
+#if defined(FLIP_EXTENDED)
+        store3(work.spin, i, vec(0.0f, 0.0f, 0.0f));
+        memory.stretch[i] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+        work.radius[i] = grain.radius;
+#endif
     }
 }
 

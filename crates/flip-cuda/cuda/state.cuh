@@ -75,6 +75,9 @@ struct Job {
 struct Added {
     float x[3], v[3];
     unsigned id;
+#if defined(FLIP_EXTENDED)
+    float radius;
+#endif
 };
 
 struct Outcome {

@@ -20,6 +20,8 @@ const KERNELS: &str = include_str!("../ptx/spoons.ptx");
 const EXTENDED: &str = include_str!("../ptx/spoons_extended.ptx");
 /// The same for heaps.
 const HEAPS: &str = include_str!("../ptx/heaps.ptx");
+/// Those whose grains turn.
+const EXTENDED_HEAPS: &str = include_str!("../ptx/heaps_extended.ptx");
 /// Those for spoons without fused multiplication and addition.
 const EXACT: &str = include_str!("../ptx/spoons_exact.ptx");
 /// Updates of learners; not fused beyond what the source says.
@@ -114,14 +116,15 @@ pub struct Card {
     is_small: bool,
     threads: u32,
     /// Other kernels that it and its clones have compiled.
-    compiled: Arc<Mutex<Vec<(Other, bool, CudaFunction)>>>,
+    compiled: Arc<Mutex<Vec<Compiled>>>,
 }
 
-/// A kernel that is compiled when it is first needed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Other {
-    Heaps,
-    Extended,
+/// A kernel that was compiled when it was first needed.
+#[derive(Debug)]
+struct Compiled {
+    source: &'static str,
+    is_small: bool,
+    kernel: CudaFunction,
 }
 
 impl Card {
@@ -214,39 +217,41 @@ impl Card {
         Ok(module.load_function("flip_learners")?)
     }
 
-    /// The same card with the kernel for heaps, which it computes beside all else.
-    pub(crate) fn for_heaps(&self) -> Result<Self> {
-        let kernel = self.compiled(Other::Heaps, self.layout, self.is_small)?;
+    /// The same card with this kernel for heaps, which it computes beside all else.
+    pub(crate) fn for_heaps(&self, layout: Kernel) -> Result<Self> {
+        let source = match layout {
+            Kernel::Base => HEAPS,
+            Kernel::Extended => EXTENDED_HEAPS,
+        };
         let stream = self.stream.context().new_stream()?;
-        Ok(Self { kernel, stream, ..self.clone() })
+        Ok(Self { stream, ..self.with_kernel(source, layout)? })
     }
 
     /// The same card with this kernel for spoons.
     pub(crate) fn for_spoons(&self, layout: Kernel) -> Result<Self> {
-        if layout == self.layout {
-            return Ok(self.clone());
+        match layout {
+            Kernel::Base => Ok(self.clone()),
+            Kernel::Extended => self.with_kernel(EXTENDED, layout),
         }
-        let is_small = self.is_small || !self.found.is_larger;
-        let kernel = self.compiled(Other::Extended, layout, is_small)?;
-        Ok(Self { kernel, layout, is_small, ..self.clone() })
     }
 
-    /// A kernel, compiled for this card once.
-    fn compiled(&self, other: Other, layout: Kernel, is_small: bool) -> Result<CudaFunction> {
+    /// The same card with another kernel, compiled for it once.
+    fn with_kernel(&self, source: &'static str, layout: Kernel) -> Result<Self> {
+        let is_small = self.is_small || (layout == Kernel::Extended && !self.found.is_larger);
         let mut compiled = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
-        let found = compiled.iter().find(|it| (it.0, it.1) == (other, is_small));
-        if let Some((.., kernel)) = found {
-            return Ok(kernel.clone());
-        }
-        let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
-        let source = match other {
-            Other::Heaps => HEAPS,
-            Other::Extended => EXTENDED,
+        let found = compiled.iter().find(|it| (it.source, it.is_small) == (source, is_small));
+        let kernel = match found {
+            Some(found) => found.kernel.clone(),
+            None => {
+                let bad = |error: DriverError| CardError::BadDriver(format!("{error:?}"));
+                let module = self.stream.context().load_module(Ptx::from_src(source));
+                let kernel = function(&module.map_err(bad)?, layout, is_small)?;
+                compiled.push(Compiled { source, is_small, kernel: kernel.clone() });
+                kernel
+            }
         };
-        let module = self.stream.context().load_module(Ptx::from_src(source)).map_err(bad)?;
-        let kernel = function(&module, layout, is_small)?;
-        compiled.push((other, is_small, kernel.clone()));
-        Ok(kernel)
+        drop(compiled);
+        Ok(Self { kernel, layout, is_small, ..self.clone() })
     }
 
     /// What it computes.

@@ -6,18 +6,16 @@ use crate::orders::{Orders, Raw};
 use crate::{Card, CardError, Result};
 use cudarc::driver::CudaSlice;
 use flip_sim::batch::Failed;
-use flip_sim::batch::heaps::{self, Order, Stand};
+use flip_sim::batch::heaps::{self, Falling, Order, Stand};
 
-const BASE: Kernel = Kernel::Base;
-
-/// Places for heaps on one card. A heap takes 0.8 MB of its memory.
+/// Places for heaps on one card. A heap takes 0.8 MB of its memory, 1.7 MB with mechanisms.
 #[derive(Debug)]
 pub struct Heaps {
     card: Card,
-    laws: CudaSlice<u32>,
-    words: CudaSlice<u32>,
-    room: Room,
-    held: Held,
+    /// In which table each heap is.
+    of: Vec<Kernel>,
+    /// Those without mechanisms, and those with: made when they are first needed, with all places.
+    tables: [Option<Table>; 2],
 }
 
 impl Heaps {
@@ -26,23 +24,83 @@ impl Heaps {
     /// # Errors
     /// [`CardError`]: too little memory, or a card that fails.
     pub fn empty(card: &Card, count: usize) -> Result<Self> {
-        let card = card.for_heaps()?;
-        let stream = card.stream();
-        // No table may be empty.
-        let laws = stream.alloc_zeros::<u32>((count * BASE.law()).max(1))?;
-        let words = stream.alloc_zeros::<u32>((count * BASE.spoon()).max(1))?;
-        stream.synchronize()?;
-        let (room, held) = (Room::default(), Held::empty(count));
-        Ok(Self { card, laws, words, room, held })
+        let base = Table::empty(card, Kernel::Base, count)?;
+        let of = vec![Kernel::Base; count];
+        Ok(Self { card: card.clone(), of, tables: [Some(base), None] })
     }
 
     fn obey(&mut self, orders: &[(usize, Order)]) -> Result<Vec<Stand>> {
-        let stream = self.card.stream();
+        let count = self.of.len();
+        for (place, order) in orders {
+            if let (Some(of), Some(ground)) = (self.of.get_mut(*place), &order.begin) {
+                *of = Kernel::of_heap(ground);
+            }
+        }
+        let mut stands = vec![Stand::default(); orders.len()];
+        for (kernel, table) in [Kernel::Base, Kernel::Extended].into_iter().zip(&mut self.tables) {
+            // A place that does not exist is named by the table.
+            let is_here = |place: usize| self.of.get(place).is_none_or(|of| *of == kernel);
+            let numbers = || (0..orders.len()).filter(|k| is_here(orders[*k].0));
+            let these: Vec<_> = numbers().map(|k| (orders[k].0, &orders[k].1)).collect();
+            if these.is_empty() {
+                continue;
+            }
+            let table = match table {
+                Some(table) => table,
+                None => table.insert(Table::empty(&self.card, kernel, count)?),
+            };
+            for (number, stand) in numbers().zip(table.obey(&these)?) {
+                stands[number] = stand;
+            }
+        }
+        Ok(stands)
+    }
+}
+
+impl heaps::Heaps for Heaps {
+    fn places(&self) -> usize {
+        self.of.len()
+    }
+
+    fn room(&self) -> u32 {
+        layout::GRAINS as u32
+    }
+
+    fn carry_out(&mut self, orders: &[(usize, Order)]) -> std::result::Result<Vec<Stand>, Failed> {
+        Ok(self.obey(orders)?)
+    }
+}
+
+/// Places for heaps of one kernel.
+#[derive(Debug)]
+struct Table {
+    kernel: Kernel,
+    card: Card,
+    laws: CudaSlice<u32>,
+    words: CudaSlice<u32>,
+    room: Room,
+    held: Held,
+}
+
+impl Table {
+    fn empty(card: &Card, kernel: Kernel, count: usize) -> Result<Self> {
+        let card = card.for_heaps(kernel)?;
+        let stream = card.stream();
+        // No table may be empty.
+        let laws = stream.alloc_zeros::<u32>((count * kernel.law()).max(1))?;
+        let words = stream.alloc_zeros::<u32>((count * kernel.spoon()).max(1))?;
+        stream.synchronize()?;
+        let (room, held) = (Room::default(), Held::empty(kernel, count));
+        Ok(Self { kernel, card, laws, words, room, held })
+    }
+
+    fn obey(&mut self, orders: &[(usize, &Order)]) -> Result<Vec<Stand>> {
+        let (stream, kernel) = (self.card.stream(), self.kernel);
         let begun = self.held.begin(orders)?;
         for (place, law) in &begun {
-            let mut words = self.laws.slice_mut(place * BASE.law()..(place + 1) * BASE.law());
+            let mut words = self.laws.slice_mut(place * kernel.law()..(place + 1) * kernel.law());
             stream.memcpy_htod(law, &mut words)?;
-            let start = place * BASE.spoon();
+            let start = place * kernel.spoon();
             stream.memset_zeros(&mut self.words.slice_mut(start..start + layout::HEAD))?;
         }
         // Until then the card may read the laws.
@@ -59,23 +117,10 @@ impl Heaps {
     }
 }
 
-impl heaps::Heaps for Heaps {
-    fn places(&self) -> usize {
-        self.held.used.len()
-    }
-
-    fn room(&self) -> u32 {
-        layout::GRAINS as u32
-    }
-
-    fn carry_out(&mut self, orders: &[(usize, Order)]) -> std::result::Result<Vec<Stand>, Failed> {
-        Ok(self.obey(orders)?)
-    }
-}
-
 /// What is known here of the heaps.
 #[derive(Debug)]
 pub(crate) struct Held {
+    kernel: Kernel,
     /// Places for grains in use.
     used: Vec<u32>,
     /// Grains poured so far, and gravity.
@@ -84,12 +129,13 @@ pub(crate) struct Held {
 }
 
 impl Held {
-    pub(crate) fn empty(count: usize) -> Self {
-        Self { used: vec![0; count], poured: vec![0; count], gravity: vec![0.0; count] }
+    pub(crate) fn empty(kernel: Kernel, count: usize) -> Self {
+        let (used, poured) = (vec![0; count], vec![0; count]);
+        Self { kernel, used, poured, gravity: vec![0.0; count] }
     }
 
     /// Notes which heaps begin anew; their laws.
-    pub(crate) fn begin(&mut self, orders: &[(usize, Order)]) -> Result<Vec<(usize, Vec<u32>)>> {
+    pub(crate) fn begin(&mut self, orders: &[(usize, &Order)]) -> Result<Vec<(usize, Vec<u32>)>> {
         let count = self.used.len();
         let mut named = vec![false; count];
         let mut begun = Vec::new();
@@ -108,7 +154,7 @@ impl Held {
     }
 
     /// One job for each order, the longest first.
-    pub(crate) fn plan(&mut self, orders: &[(usize, Order)]) -> Result<Orders> {
+    pub(crate) fn plan(&mut self, orders: &[(usize, &Order)]) -> Result<Orders> {
         let mut planned = Orders::default();
         let mut weights = Vec::with_capacity(orders.len());
         for (number, (place, order)) in orders.iter().enumerate() {
@@ -119,10 +165,12 @@ impl Held {
             }
             let standing = [0.0, -self.gravity[*place]].map(f32::to_bits);
             planned.parts.extend([0, 0, order.substeps, standing[0], standing[1]]);
-            let first = (planned.added.len() / layout::ADDED) as u32;
-            for grain in &order.pour {
-                planned.added.extend(grain.as_flattened().iter().map(|x| x.to_bits()));
+            let first = (planned.added.len() / self.kernel.added()) as u32;
+            for Falling { x, v, radius } in &order.pour {
+                planned.added.extend(x.iter().chain(v).map(|x| x.to_bits()));
                 planned.added.push(self.poured[*place]);
+                let has_radius = self.kernel == Kernel::Extended;
+                planned.added.extend(has_radius.then_some(radius.to_bits()));
                 self.poured[*place] += 1;
             }
             let weight = u64::from(self.used[*place]) * u64::from(order.substeps);
@@ -138,7 +186,7 @@ impl Held {
     }
 
     /// How the heaps stand after that.
-    pub(crate) fn stands(&mut self, orders: &[(usize, Order)], raw: &Raw) -> Result<Vec<Stand>> {
+    pub(crate) fn stands(&mut self, orders: &[(usize, &Order)], raw: &Raw) -> Result<Vec<Stand>> {
         let outcomes: Vec<Outcome> =
             raw.outcomes.chunks_exact(layout::OUTCOME).map(layout::outcome).collect();
         if outcomes.len() != orders.len() {

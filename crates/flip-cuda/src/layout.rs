@@ -12,14 +12,13 @@ const CONTACTS: usize = 16384;
 const PAIRS: usize = 16384;
 /// Room for cells of the search grid.
 const CELLS: usize = 4096;
-/// Words of a spoon's head, its law, a part of a plan, a job, an outcome, a grain that is poured.
+/// Words of a spoon's head, its law, a part of a plan, a job, an outcome.
 pub(crate) const HEAD: usize = 32;
 const LAW: usize = 38;
 const MECHANISMS: usize = 19;
 pub(crate) const PART: usize = 5;
 pub(crate) const JOB: usize = 7;
 pub(crate) const OUTCOME: usize = 10;
-pub(crate) const ADDED: usize = 7;
 /// In the second word of a base simulator's anchor: the pair touches now.
 const TOUCHES: u32 = 1 << 31;
 /// In the fourth place of an extended anchor: the pair touches, or only a liquid bridge is left.
@@ -44,6 +43,11 @@ impl Kernel {
         if spoon.mechanisms.is_some() { Self::Extended } else { Self::Base }
     }
 
+    /// The one for this heap.
+    pub(crate) fn of_heap(ground: &Ground) -> Self {
+        if ground.mechanisms.is_some() { Self::Extended } else { Self::Base }
+    }
+
     const fn either(self, base: usize, extended: usize) -> usize {
         match self {
             Self::Base => base,
@@ -64,6 +68,11 @@ impl Kernel {
     /// Words of a departed grain.
     pub(crate) const fn departed(self) -> usize {
         self.either(9, 10)
+    }
+
+    /// Words of a grain that is poured.
+    pub(crate) const fn added(self) -> usize {
+        self.either(7, 8)
     }
 
     const fn radii(self) -> usize {
@@ -125,21 +134,22 @@ const ANCHOR_BITS: u32 = 0x1f_ffff;
 /// The law's numbers as the kernel reads them.
 pub(crate) fn law(spoon: &Spoon) -> Vec<u32> {
     let [a, b, c] = spoon.semi_axes;
-    // Turning grains are given velocities after the drag, the others before it.
-    let drag = if spoon.mechanisms.is_some() { 1.0 } else { spoon.drag };
-    let mut words = contacts(&spoon.grain, &spoon.wall, drag);
+    let mut words = contacts(&spoon.grain, &spoon.wall, spoon.drag, spoon.mechanisms.is_some());
     let mut tell = |numbers: &[f32]| words.extend(numbers.iter().map(|x| x.to_bits()));
     let reach = spoon.mechanisms.map_or(0.0, |it| it.charge_reach).max(spoon.wall.reach);
-    let widest = spoon.mechanisms.map_or(0.5, |it| it.widest);
+    let widest = widest(spoon.mechanisms.as_ref());
     let within = |axis: f32| (1.0 - (widest + reach + CLEARANCE) / axis).max(0.0).powi(2);
     tell(&[spoon.drag, 1.0 / (a * a), 1.0 / (b * b), 1.0 / (c * c), c]);
     tell(&[within(a.min(b).min(c)), within(a.min(b)), spoon.rest_speed * spoon.rest_speed]);
     words.extend([spoon.quiet, spoon.slice]);
-    let cell = CELL + 2.0 * widest - 1.0;
-    words.extend(grid(cell, [-a - 3.0, -b - 3.0, -c - 1.5], [a + 3.0, b + 3.0, HEADROOM]));
+    words.extend(grid(widest, [-a - 3.0, -b - 3.0, -c - 1.5], [a + 3.0, b + 3.0, HEADROOM]));
     words.push(0.0f32.to_bits());
     words.extend(spoon.mechanisms.iter().flat_map(mechanisms));
     words
+}
+
+fn widest(of: Option<&Mechanisms>) -> f32 {
+    of.map_or(0.5, |it| it.widest)
 }
 
 /// The mechanisms' numbers as the kernel reads them.
@@ -177,19 +187,23 @@ fn turns(radians: f64) -> u32 {
 
 /// The same of a heap on its base.
 pub(crate) fn ground(of: &Ground) -> Vec<u32> {
-    let mut words = contacts(&of.grain, &of.wall, of.drag);
+    let mut words = contacts(&of.grain, &of.wall, of.drag, of.mechanisms.is_some());
     words.push(of.drag.to_bits());
     // No bowl, and no speed at which it rests by itself.
     words.extend([0; 7]);
     words.extend([i32::MAX as u32, of.slice]);
     let wide = of.radius + 3.0;
-    words.extend(grid(CELL, [-wide, -wide, -2.0], [wide, wide, 1.3 * of.radius + HEADROOM]));
+    let widest = widest(of.mechanisms.as_ref());
+    words.extend(grid(widest, [-wide, -wide, -2.0], [wide, wide, 1.3 * of.radius + HEADROOM]));
     words.push(of.radius.to_bits());
+    words.extend(of.mechanisms.iter().flat_map(mechanisms));
     words
 }
 
-/// Between grains, and at walls. Pairs are given velocities before this drag.
-fn contacts(grain: &Strengths, wall: &Strengths, drag: f32) -> Vec<u32> {
+/// Between grains, and at walls. Pairs are given velocities before this drag, those of grains that turn
+/// after it.
+fn contacts(grain: &Strengths, wall: &Strengths, drag: f32, turns: bool) -> Vec<u32> {
+    let drag = if turns { 1.0 } else { drag };
     let grain = Strengths {
         normal_damping: grain.normal_damping * drag,
         tangential_damping: grain.tangential_damping * drag,
@@ -199,8 +213,10 @@ fn contacts(grain: &Strengths, wall: &Strengths, drag: f32) -> Vec<u32> {
     both.iter().flatten().map(|x| x.to_bits()).collect()
 }
 
-/// A grid of cells of this size or larger from corner to corner, with no more than there is room for.
-fn grid(mut cell: f32, low: [f32; 3], high: [f32; 3]) -> [u32; 7] {
+/// A grid from corner to corner for grains of up to this radius, with no more cells than there is room
+/// for.
+fn grid(widest: f32, low: [f32; 3], high: [f32; 3]) -> [u32; 7] {
+    let mut cell = CELL + 2.0 * widest - 1.0;
     let size = loop {
         let size = [0, 1, 2].map(|k| ((high[k] - low[k]) / cell).ceil() as u32);
         if size.iter().product::<u32>() as usize <= CELLS {
@@ -435,58 +451,5 @@ pub(crate) fn departed(kernel: Kernel, words: &[u32]) -> (usize, Departed) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn anchors_survive_fixed_point_and_stay_opposite() {
-        for a in [[0.3, -0.91, 1.04], [0.0, 1e-6, -1.0], [1.4, 0.123_456, -0.000_7]] {
-            let (there, back) = (unpack(pack(a)), unpack(pack(a.map(|x: f32| -x))));
-            for k in 0..3 {
-                assert!((there[k] - a[k]).abs() < 1e-6, "{there:?} for {a:?}");
-                assert_eq!(there[k], -back[k]);
-            }
-        }
-    }
-
-    #[test]
-    fn a_state_survives_its_image() {
-        let grain = |id: u32, x: f32| Grain {
-            id,
-            radius: 0.5,
-            x: [x, 0.5, -2.0],
-            v: [0.01, 0.0, x],
-            contacts: 2.0,
-            wall_anchor: (id == 1).then_some([x, 0.0, -2.5]),
-        };
-        let state = State {
-            grains: vec![grain(4, 0.0), grain(1, 1.0), grain(9, 2.0)],
-            stuck: vec![([0, 1], [-1.0, 0.0, 0.0]), ([1, 2], [-0.75, 0.25, 0.0])],
-            ..State::default()
-        };
-        let through =
-            |kernel, state| super::state(kernel, &image(kernel, state).expect("few grains"));
-        let turning =
-            |spin, clings| Turning { spin: [spin, 0.0, -0.1], wall_stretch: [0.0; 3], clings };
-        let turns = State {
-            turning: vec![
-                turning(0.1, false),
-                Turning { wall_stretch: [0.0, 0.01, 0.02], ..turning(0.2, true) },
-                turning(0.0, false),
-            ],
-            rolls: vec![[0.5, 0.0, -0.25], [0.0, 1e-9, 0.0]],
-            ages: vec![3.0, 120_000.0],
-            bridged: vec![[0, 2]],
-            elapsed: 77,
-            ..state.clone()
-        };
-        assert_eq!(through(Kernel::Extended, &turns), turns);
-        let found = through(Kernel::Base, &state);
-        assert_eq!((&found.turning, &found.rolls), (&vec![], &vec![]));
-        assert_eq!(found.grains, state.grains);
-        for ((ends, anchor), (expected, exact)) in found.stuck.iter().zip(&state.stuck) {
-            assert_eq!(ends, expected);
-            assert!((0..3).all(|k| (anchor[k] - exact[k]).abs() < 1e-6));
-        }
-    }
-}
+#[path = "layout_tests.rs"]
+mod tests;

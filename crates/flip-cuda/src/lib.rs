@@ -32,8 +32,8 @@
 //!
 //! # Limits
 //!
-//! Spoons on a card have every mechanism beyond the base simulator, by a kernel of their own; heaps have
-//! none. A spoon or heap has at most 2560 grains.
+//! A spoon or heap has at most 2560 grains. Those with mechanisms beyond the base simulator have kernels of
+//! their own.
 
 /// Version of what a card computes of spoons and heaps. It is raised whenever the same inputs give other bytes.
 pub const VERSION: u32 = 4;

@@ -66,6 +66,9 @@ pub(crate) fn carry_out_by(
     orders: &Orders,
 ) -> Option<(Vec<Vec<u32>>, Raw)> {
     let program = built(twin)?;
+    // Both kinds of powder have laws of their own length.
+    let kernel =
+        if laws[0].len() == Kernel::Extended.law() { Kernel::Extended } else { Kernel::Base };
     let folder = tempfile::tempdir().expect("a folder for the jobs");
     let (input, output) = (folder.path().join("in"), folder.path().join("out"));
     let (jobs, parts) = (orders.jobs.len() / layout::JOB, orders.parts.len() / layout::PART);
@@ -75,7 +78,7 @@ pub(crate) fn carry_out_by(
         jobs,
         parts,
         orders.bodies.len() / 2,
-        orders.added.len() / layout::ADDED,
+        orders.added.len() / kernel.added(),
     ];
     let mut words: Vec<u32> = counts.iter().map(|count| *count as u32).collect();
     for table in laws.iter().chain(spoons).chain([&orders.jobs, &orders.parts]) {
@@ -85,8 +88,6 @@ pub(crate) fn carry_out_by(
     words.extend(&orders.added);
     let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
     std::fs::write(&input, bytes).expect("the jobs are written");
-    // Both kinds of powder have laws of their own length.
-    let extended = laws[0].len() == Kernel::Extended.law();
     let status = Command::new(program).args([&input, &output]).status().expect("the twin runs");
     assert!(status.success(), "the twin failed: {status}");
     let bytes = std::fs::read(&output).expect("the twin's answer is read");
@@ -104,7 +105,7 @@ pub(crate) fn carry_out_by(
         rests: take(parts),
         departed: {
             let lost = take(1)[0] as usize;
-            take(lost * if extended { Kernel::Extended } else { Kernel::Base }.departed())
+            take(lost * kernel.departed())
         },
         kernel_s: 0.0,
     };

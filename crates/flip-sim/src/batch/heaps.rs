@@ -11,9 +11,10 @@ mod cores;
 
 use super::Failed;
 use crate::constraints::{Vector, dot, vector};
-use crate::dispense::outside::{State, Strengths};
+use crate::dispense::outside::{self, State, Strengths};
 use crate::engine::{Engine, Scales};
 use crate::law::Law;
+use crate::mechanisms::{Mechanisms, Site};
 use crate::repose::{Compat, Refusal, Repose, Settings, repose_of};
 use crate::snapshot::Snapshot;
 use flip_core::domain::parameters::ParameterSet;
@@ -37,10 +38,14 @@ pub struct Ground {
     pub grain: Strengths,
     /// Between a grain and the base.
     pub wall: Strengths,
+    /// Mechanisms beyond the base simulator, if its powder has any.
+    pub mechanisms: Option<outside::Mechanisms>,
     /// Radius of the round base, which is at height 0 and has a sharp rim.
     pub radius: f32,
     /// Substeps between two looks for grains that fell off.
     pub slice: u32,
+    /// For the product's own solver.
+    own: Mechanisms,
 }
 
 /// A heap to pour.
@@ -57,9 +62,6 @@ pub struct Wanted {
 /// Why only [`repose`](crate::repose::repose) can compute a heap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum OnlyOnCores {
-    /// It has mechanisms.
-    #[error("mechanisms are computed on the processor")]
-    Mechanisms,
     /// Its base has a layer of grains.
     #[error("a rough base is computed on the processor")]
     RoughBase,
@@ -77,18 +79,21 @@ impl Wanted {
     /// # Errors
     /// [`OnlyOnCores`]
     pub fn fits(&self, room: u32) -> Result<(), OnlyOnCores> {
-        let Settings { compat, rough_base, extensions, particles, .. } = &self.settings;
-        match (compat, rough_base, extensions.is_none()) {
-            (Compat::Physx, ..) => Err(OnlyOnCores::Physx),
-            (_, true, _) => Err(OnlyOnCores::RoughBase),
-            (_, _, false) => Err(OnlyOnCores::Mechanisms),
+        let Settings { compat, rough_base, particles, .. } = &self.settings;
+        match (compat, rough_base) {
+            (Compat::Physx, _) => Err(OnlyOnCores::Physx),
+            (_, true) => Err(OnlyOnCores::RoughBase),
             _ if *particles > room => Err(OnlyOnCores::Grains(room)),
             _ => Ok(()),
         }
     }
 
     fn law(&self) -> Law {
-        Law::new(&self.set, self.settings.base_friction, self.settings.substep_s)
+        Law::new(&self.set, self.settings.base_friction, self.settings.substep_s).extended(
+            &self.settings.extensions,
+            &self.set,
+            Site::Base,
+        )
     }
 
     /// The powder and its base.
@@ -99,10 +104,23 @@ impl Wanted {
             gravity: law.gravity,
             grain: (&law.grain).into(),
             wall: (&law.wall).into(),
+            mechanisms: law.extended.then(|| law.mechanisms.outside()),
             radius: self.settings.base_radius_diameters as f32,
             slice: crate::repose::DEPARTURE_CHECK,
+            own: law.mechanisms,
         }
     }
+}
+
+/// A grain that is poured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Falling {
+    /// Centre.
+    pub x: [f32; 3],
+    /// Velocity.
+    pub v: [f32; 3],
+    /// Radius.
+    pub radius: f32,
 }
 
 /// What one heap is asked to do.
@@ -110,8 +128,8 @@ impl Wanted {
 pub struct Order {
     /// Forget what was there, and begin anew on this.
     pub begin: Option<Ground>,
-    /// Centres and velocities of grains to add.
-    pub pour: Vec<[[f32; 3]; 2]>,
+    /// Grains to add.
+    pub pour: Vec<Falling>,
     /// Substeps to advance.
     pub substeps: u32,
     /// Whether to tell every grain afterwards.
@@ -238,7 +256,7 @@ pub fn pour(
 
 /// What a thread says.
 enum Said {
-    Asks(usize, Order),
+    Asks(usize, Box<Order>),
     Leaves,
 }
 
@@ -261,7 +279,7 @@ fn serve(
     let (mut there, mut asked, mut ended) = (answers.len(), Vec::new(), Ok(()));
     while let Ok(said) = heard.recv() {
         match said {
-            Said::Asks(place, order) => asked.push((place, order)),
+            Said::Asks(place, order) => asked.push((place, *order)),
             Said::Leaves => there -= 1,
         }
         if asked.len() < there || asked.is_empty() {
@@ -291,11 +309,14 @@ fn serve(
 /// A heap that is computed elsewhere.
 struct Remote<'a> {
     scales: Scales,
+    mechanisms: Mechanisms,
+    /// Grains poured so far.
+    count: u32,
     place: usize,
     says: &'a Sender<Said>,
     answers: &'a Receiver<Stand>,
     begin: RefCell<Option<Ground>>,
-    poured: RefCell<Vec<[[f32; 3]; 2]>>,
+    poured: RefCell<Vec<Falling>>,
     stand: RefCell<Stand>,
 }
 
@@ -306,9 +327,11 @@ impl<'a> Remote<'a> {
         says: &'a Sender<Said>,
         answers: &'a Receiver<Stand>,
     ) -> Self {
-        let Law { gravity, diameter_m, substep_s: step_s, .. } = one.law();
+        let Law { gravity, diameter_m, substep_s: step_s, mechanisms, .. } = one.law();
         Self {
             scales: Scales { gravity, diameter_m, step_s },
+            mechanisms,
+            count: 0,
             place,
             says,
             answers,
@@ -320,7 +343,7 @@ impl<'a> Remote<'a> {
 
     fn ask(&self, substeps: u32, look: bool) {
         let order = Order { begin: self.begin.take(), pour: self.poured.take(), substeps, look };
-        let said = self.says.send(Said::Asks(self.place, order));
+        let said = self.says.send(Said::Asks(self.place, Box::new(order)));
         let ended = |_| Stand { fault: Some("the batch has ended".to_owned()), ..Stand::default() };
         let answer = said.map_err(|_| ()).and_then(|()| self.answers.recv().map_err(|_| ()));
         self.stand.replace(answer.unwrap_or_else(ended));
@@ -340,7 +363,10 @@ impl Engine for Remote<'_> {
         self.scales
     }
     fn pour(&mut self, x: Vector, v: Vector) {
-        self.poured.get_mut().push([x, v].map(|[x, y, z, _]| [x, y, z]));
+        let [x, v] = [x, v].map(|[x, y, z, _]| [x, y, z]);
+        let radius = self.mechanisms.sizes.radius(self.count);
+        self.poured.get_mut().push(Falling { x, v, radius });
+        self.count += 1;
     }
     fn step(&mut self) {
         self.ask(1, false);
@@ -361,7 +387,7 @@ impl Engine for Remote<'_> {
         self.stand.borrow().apex
     }
     fn heap(&self) -> Vec<Vector> {
-        self.state().grains.iter().map(|it| [it.x[0], it.x[1], it.x[2], 0.5]).collect()
+        self.state().grains.iter().map(|it| [it.x[0], it.x[1], it.x[2], it.radius]).collect()
     }
     fn snapshot(&self, time_s: f64) -> Snapshot {
         let ids: Vec<u32> = self.state().grains.iter().map(|grain| grain.id).collect();
@@ -376,7 +402,7 @@ impl Engine for Remote<'_> {
         for (i, x) in grains.iter().enumerate() {
             for y in &grains[..i] {
                 let apart = vector(x[0] - y[0], x[1] - y[1], x[2] - y[2]);
-                let overlap = 1.0 - f64::from(dot(apart, apart).sqrt());
+                let overlap = f64::from(x[3] + y[3]) - f64::from(dot(apart, apart).sqrt());
                 if overlap > 0.0 {
                     sum += overlap;
                     largest = largest.max(overlap);

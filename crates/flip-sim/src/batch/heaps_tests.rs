@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::batch::{self, Batch, Cores, Several};
+use crate::mechanisms::Extensions;
 use crate::repose::repose;
 use std::sync::Arc;
 
@@ -46,8 +47,22 @@ fn wanted(count: u64) -> Vec<Wanted> {
 
 #[test]
 fn a_heap_poured_outside_is_that_of_the_product_whoever_is_beside_it() {
-    let all = wanted(5);
-    let mut found = vec![None; 5];
+    let mut all = wanted(7);
+    all[5].settings.extensions = Extensions { size_spread: 0.2, ..Extensions::default() };
+    let every = Extensions {
+        rotation: 0.8,
+        rolling_friction: 0.2,
+        size_spread: 0.1,
+        consolidation: 1.0,
+        humidity: 0.4,
+        spoon_adhesion: 1.0,
+        hold_up: 0.5,
+        vibration_g: 0.01,
+        charge: 0.5,
+        air: 1.0,
+    };
+    all[6].settings.extensions = every;
+    let mut found = vec![None; all.len()];
     pour(&mut [&mut outside(2, usize::MAX)], &all, &mut |place, outcome| {
         assert!(found[place].replace(outcome).is_none(), "heap {place} came twice");
         ControlFlow::Continue(())
@@ -157,8 +172,5 @@ fn what_only_cores_compute_is_named() {
     assert!(with(Settings { rough_base: true, ..usual }).contains("rough base"));
     assert!(with(Settings { compat: Compat::Physx, ..usual }).contains("physx"));
     assert!(with(Settings { particles: 3000, ..usual }).contains("2560"));
-    let mut mechanisms = usual;
-    mechanisms.extensions.rotation = 1.0;
-    assert!(with(mechanisms).contains("mechanisms"));
     one.fits(2560).unwrap();
 }

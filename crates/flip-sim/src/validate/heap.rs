@@ -63,7 +63,8 @@ fn heaps(
     match &suite.on {
         None => (1..=seeds).map(|seed| suite.heap(powder, settings, seed).ok()).collect(),
         Some(on) => {
-            let wanted = |seed| Wanted { set: *powder, settings: *settings, seed };
+            let settings = Settings { extensions: suite.extensions, ..*settings };
+            let wanted = |seed| Wanted { set: *powder, settings, seed };
             on.heaps(&(1..=seeds).map(wanted).collect::<Vec<_>>())
         }
     }

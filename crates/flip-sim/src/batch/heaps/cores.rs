@@ -1,12 +1,11 @@
 //! The processor's own solver as one of many heaps.
 
-use super::{Ground, Heaps, Order, Stand};
+use super::{Falling, Ground, Heaps, Order, Stand};
 use crate::batch::{Failed, no_place};
 use crate::constraints::{Contact, Vector, vector};
 use crate::dispense::outside::{Grain, State, Strengths};
 use crate::engine::{Engine, Physical};
 use crate::law::Law;
-use crate::mechanisms::Mechanisms;
 use crate::repose::Settings;
 use crate::walls::{Plate, Shape};
 use rayon::prelude::*;
@@ -57,7 +56,8 @@ impl Heaps for OnCores {
 }
 
 fn obeyed(heap: &mut Physical, order: &Order) -> Stand {
-    for [x, v] in &order.pour {
+    // Their radii follow from their numbers.
+    for Falling { x, v, .. } in &order.pour {
         heap.pour(vector(x[0], x[1], x[2]), vector(v[0], v[1], v[2]));
     }
     heap.advance(order.substeps);
@@ -84,8 +84,8 @@ fn begun(ground: &Ground) -> Physical {
         drag: ground.drag,
         grain: contact(&ground.grain),
         wall: contact(&ground.wall),
-        mechanisms: Mechanisms::default(),
-        extended: false,
+        mechanisms: ground.own,
+        extended: ground.mechanisms.is_some(),
         // Lengths and times come in its units.
         diameter_m: 1.0,
         substep_s: 1.0,
