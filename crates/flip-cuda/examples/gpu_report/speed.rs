@@ -20,7 +20,7 @@ fn slow() -> Settings {
 }
 
 /// Grains that turn and resist it.
-fn turning() -> Settings {
+pub fn turning() -> Settings {
     let extensions = Extensions { rotation: 1.0, rolling_friction: 0.2, ..Extensions::default() };
     Settings { extensions, ..Settings::default() }
 }
