@@ -11,7 +11,7 @@
 # make reliability   every fault of every emulated device at every state of a weighing, 300 kills on each database, a minute of fuzzing for each parser: two hours or more, most of it kills
 # make bench-stop    how soon a stop makes the arm stand still while a hundred clients poll, and while others do their worst (ARGS="-- 200 100 1 none messages silent readers pollers streams lock all")
 # make bench-workers   one job on 1, 2 and 4 workers with a private PostgreSQL, beside the ideal; its investigation takes a quarter of an hour on one worker and needs the calibration before it (ARGS="3 100 1,2,4 calibration,evaluation": repeats, size in %, workers, jobs; FLIP_POSTGRES_BIN=folder of initdb)
-# make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: a quarter of an hour (ARGS='--episodes 40')
+# make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: forty minutes (ARGS='--episodes 40')
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped, the network is cut, the disk fills up and clocks are set: an hour or two (ARGS='10 2': 10 % of the faults, seed)
 # make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, heaps, a calibration, an evaluation and a training by the commands; without a card it says so; run in two parts so far (ARGS=speed)
