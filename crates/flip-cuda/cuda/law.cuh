@@ -209,6 +209,7 @@ constexpr float BRIDGED = 2.0f;            // in the fourth place: only a liquid
 FN bool touches(Anchor a) { return a.w == 1.0f; }
 FN bool holds(Anchor a) { return a.w != 0.0f; }
 FN Anchor reversed(Anchor a) { return with(scale(place_of(a), -1.0f), a.w); }
+FN Anchor nothing() { return make_float4(0.0f, 0.0f, 0.0f, 0.0f); }
 #else
 typedef uint2 Anchor;
 FN Anchor stuck_at(Vec a) {
@@ -220,6 +221,7 @@ FN bool touches(Anchor a) { return (a.y & TOUCHES) != 0; }
 FN bool holds(Anchor a) { return touches(a); }
 FN void let_go(Anchor& to, Anchor was) { to.y = was.y & ~TOUCHES; }
 FN Anchor reversed(Anchor a) { return pack(scale(unpack(a), -1.0f)); }
+FN Anchor nothing() { return make_uint2(0, 0); }
 #endif
 
 #if defined(FLIP_EXTENDED)

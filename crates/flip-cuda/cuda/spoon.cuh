@@ -216,7 +216,10 @@ FN void add_near(const Block& block, const Work& work, const Pairs& law, Memory&
             if (place < CONTACTS) {
                 memory.near[t] = NO_PAIR;
                 memory.touching[place] = pair;
-                pull = contact(work, law, memory, i, j, false, Anchor{}, place);
+                pull = contact(work, law, memory, i, j, false, nothing(), place);
+                // A compiler may round its gap otherwise than that of `attraction`. The place must not
+                // keep what another pair left there.
+                if (!pull.touches) memory.anchors[place] = nothing();
             }
         }
         meet();

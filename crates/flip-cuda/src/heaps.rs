@@ -126,12 +126,15 @@ pub(crate) struct Held {
     /// Grains poured so far, and gravity.
     poured: Vec<u32>,
     gravity: Vec<f32>,
+    /// Heaps that were given more grains than there is room for, and stay as they were.
+    overfull: Vec<bool>,
 }
 
 impl Held {
     pub(crate) fn empty(kernel: Kernel, count: usize) -> Self {
         let (used, poured) = (vec![0; count], vec![0; count]);
-        Self { kernel, used, poured, gravity: vec![0.0; count] }
+        let (gravity, overfull) = (vec![0.0; count], vec![false; count]);
+        Self { kernel, used, poured, gravity, overfull }
     }
 
     /// Notes which heaps begin anew; their laws.
@@ -147,6 +150,7 @@ impl Held {
             if let Some(ground) = &order.begin {
                 (self.used[*place], self.poured[*place]) = (0, 0);
                 self.gravity[*place] = ground.gravity;
+                self.overfull[*place] = false;
                 begun.push((*place, layout::ground(ground)));
             }
         }
@@ -158,23 +162,25 @@ impl Held {
         let mut planned = Orders::default();
         let mut weights = Vec::with_capacity(orders.len());
         for (number, (place, order)) in orders.iter().enumerate() {
-            let pour = order.pour.len() as u32;
-            self.used[*place] += pour;
-            if self.used[*place] as usize > layout::GRAINS {
-                return Err(CardError::Unfit("a heap has more grains than a card has room for"));
-            }
+            let wanted = self.used[*place] as usize + order.pour.len();
+            self.overfull[*place] |= wanted > layout::GRAINS;
+            let (pour, substeps) = match self.overfull[*place] {
+                true => (&[][..], 0),
+                false => (&order.pour[..], order.substeps),
+            };
+            self.used[*place] += pour.len() as u32;
             let standing = [0.0, -self.gravity[*place]].map(f32::to_bits);
-            planned.parts.extend([0, 0, order.substeps, standing[0], standing[1]]);
+            planned.parts.extend([0, 0, substeps, standing[0], standing[1]]);
             let first = (planned.added.len() / self.kernel.added()) as u32;
-            for Falling { x, v, radius } in &order.pour {
+            for Falling { x, v, radius } in pour {
                 planned.added.extend(x.iter().chain(v).map(|x| x.to_bits()));
                 planned.added.push(self.poured[*place]);
                 let has_radius = self.kernel == Kernel::Extended;
                 planned.added.extend(has_radius.then_some(radius.to_bits()));
                 self.poured[*place] += 1;
             }
-            let weight = u64::from(self.used[*place]) * u64::from(order.substeps);
-            weights.push((weight, number, first, pour));
+            let weight = u64::from(self.used[*place]) * u64::from(substeps);
+            weights.push((weight, number, first, pour.len() as u32));
         }
         // No block should still be at work when all others are done.
         weights.sort_unstable_by_key(|(weight, number, ..)| (std::cmp::Reverse(*weight), *number));
@@ -195,12 +201,15 @@ impl Held {
         for ((place, _), outcome) in orders.iter().zip(&outcomes) {
             self.used[*place] = outcome.places;
         }
-        let stand = |outcome: &Outcome| Stand {
+        let stand = |(outcome, (place, _)): (&Outcome, &(usize, &Order))| Stand {
             apex: outcome.apex,
             speed_rms: (outcome.speeds2 / f64::from(outcome.kept.max(1))).sqrt() as f32,
             state: None,
-            fault: outcome.fault.map(|fault| fault.to_string()),
+            fault: match self.overfull[*place] {
+                true => Some(format!("a card has room for {} grains of a heap", layout::GRAINS)),
+                false => outcome.fault.map(|fault| fault.to_string()),
+            },
         };
-        Ok(outcomes.iter().map(stand).collect())
+        Ok(outcomes.iter().zip(orders).map(stand).collect())
     }
 }

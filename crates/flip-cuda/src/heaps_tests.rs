@@ -6,7 +6,7 @@ use crate::twin::{built, carry_out_by};
 use crate::{Card, layout};
 use flip_core::domain::parameters::ParameterSet;
 use flip_core::domain::seed::derive;
-use flip_sim::batch::heaps::{Heaps, Order, Stand, Wanted, pour};
+use flip_sim::batch::heaps::{Falling, Heaps, Order, Stand, Wanted, pour};
 use flip_sim::batch::{Engine, Failed};
 use flip_sim::dispense::outside::State;
 use flip_sim::mechanisms::Extensions;
@@ -167,6 +167,30 @@ fn mean(of: &[f64]) -> (f64, f64) {
     let mean = of.iter().sum::<f64>() / n;
     let variance = of.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
     (mean, variance / n)
+}
+
+#[test]
+fn a_heap_with_too_many_grains_is_given_up_alone() {
+    let Some(mut twin) = Twin::of(Kernel::Base, 2) else { return };
+    let ground = Some(wanted(0.5, 150, 1).ground());
+    let falling = |k: usize| {
+        let [x, y, z] = [k % 16, k / 16 % 16, k / 256].map(|it| 1.2 * it as f32);
+        Falling { x: [x - 9.0, y - 9.0, z + 1.0], v: [0.0; 3], radius: 0.5 }
+    };
+    let order = |pour: usize, substeps| Order {
+        begin: ground.filter(|_| pour > 0),
+        pour: (0..pour).map(falling).collect(),
+        substeps,
+        look: true,
+    };
+    let stands = twin.carry_out(&[(0, order(2561, 5)), (1, order(10, 5))]).expect("the other");
+    let said = stands[0].fault.as_deref().unwrap_or_default();
+    assert!(said.contains("room for 2560 grains"), "{said}");
+    assert_eq!(stands[1].fault, None);
+    assert_eq!(stands[1].state.as_ref().map(|it| it.grains.len()), Some(10));
+    let again = twin.carry_out(&[(0, order(0, 5))]).expect("it stays given up");
+    assert_eq!(again[0].fault, stands[0].fault);
+    assert_eq!(twin.carry_out(&[(0, order(10, 5))]).expect("it begins anew")[0].fault, None);
 }
 
 /// Whether heaps of the twin are about as steep as those of flip-sim, whoever is beside them.
