@@ -14,7 +14,7 @@
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: forty minutes (ARGS='--episodes 40')
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped, the network is cut, the disk fills up and clocks are set: an hour or two (ARGS='10 2': 10 % of the faults, seed)
-# make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, heaps, a calibration, an evaluation and a training by the commands; without a card it says so; run in two parts so far (ARGS=speed)
+# make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, heaps, a million launches, updates of the learner, and a calibration, an evaluation, a training and the demonstration by the commands: a quarter of an hour; without a card it says so (ARGS=speed: that part alone)
 # make published-experiment   four orders, five seeds, 4000 episodes each, in the simulator on a graphics card, and doses with all policies: a quarter of an hour, stop it and call it again (STUDY=feed-forward ARGS=seconds=600)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
@@ -195,6 +195,8 @@ faults: setup postgres faketime
 
 gpu-report: setup
 	cargo run --release --locked -p flip-cuda --example gpu_report -- $(ARGS)
+	[ -z "$(ARGS)" ] || exit 0
+	cargo run --release --locked -p flip-cuda --example learner_report
 	cargo build --release --locked
 	.ci/gpu_report.sh "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
 

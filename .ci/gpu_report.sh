@@ -34,6 +34,7 @@ for powder in sand sugar salt; do
 done
 took evaluate-cuda "${evaluate[@]}" --device cuda
 [ -n "${ONLY_CARD:-}" ] || took evaluate-cpu "${evaluate[@]}"
+took evaluate-20us-cuda "${evaluate[@]}" --substep-us 20 --device cuda
 took train-cuda "${train[@]}" --device cuda
 # The first makes the emulator that both use.
 for powder in salt sugar; do took "calibrate-$powder-cuda" calibrate --powder "$powder" --device cuda --json; done

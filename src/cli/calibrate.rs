@@ -65,9 +65,9 @@ pub(super) struct Arguments {
     /// Use only stored shakes of weighings on this kind of bench, and imported ones.
     #[arg(long, value_enum, requires = "shakes")]
     shaken_on: Option<Bench>,
-    /// Parameter to hold at a value instead of searching it, as in `gravity_scale=1`; may be
-    /// repeated [default: all nine are searched].
-    #[arg(long, value_name = "NAME=VALUE")]
+    /// Parameters to hold at a value instead of searching them, as in `gravity_scale=1`
+    /// [default: all nine are searched].
+    #[arg(long, value_name = "NAME=VALUE,…", value_delimiter = ',')]
     fix: Vec<String>,
     #[command(flatten)]
     device: DeviceArguments,

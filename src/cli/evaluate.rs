@@ -58,9 +58,9 @@ pub(super) struct Arguments {
     /// about 37 mg].
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     particles: Option<u32>,
-    /// Mechanism absent from all training, with its amplitude, as in `rotation=1`; may be repeated.
-    /// As in `flip heap`.
-    #[arg(long, value_name = "NAME=AMPLITUDE")]
+    /// Mechanisms absent from all training, with their amplitudes, as in
+    /// `rotation=1,rolling_friction=0.5`.
+    #[arg(long, value_name = "NAME=AMPLITUDE,…", value_delimiter = ',')]
     extension: Vec<String>,
     /// Shake as the bench's arm was measured to shake (`flip bench calibrate-shake`).
     #[arg(long)]

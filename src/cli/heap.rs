@@ -43,9 +43,9 @@ pub(super) struct Arguments {
     /// Readings per heap, 1 to 64, with 15 % more grains poured between readings.
     #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
     readings: u32,
-    /// Mechanism missing from the base simulator, with its amplitude, as in `rotation=1`; may be
-    /// repeated.
-    #[arg(long, value_name = "NAME=AMPLITUDE")]
+    /// Mechanisms missing from the base simulator, with their amplitudes, as in
+    /// `rotation=1,rolling_friction=0.5`.
+    #[arg(long, value_name = "NAME=AMPLITUDE,…", value_delimiter = ',')]
     extension: Vec<String>,
     /// Cover the base with a layer of fixed grains.
     #[arg(long)]

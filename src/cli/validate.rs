@@ -18,12 +18,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Arguments of `flip validate`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
-    /// Run one check, or all checks of one experiment, by name; may be repeated.
-    #[arg(long, value_name = "NAME")]
+    /// Run these checks, or all checks of these experiments, by name.
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',')]
     only: Vec<String>,
-    /// Run the experiments with a mechanism missing from the base simulator, as in `rotation=1`;
-    /// may be repeated.
-    #[arg(long, value_name = "NAME=AMPLITUDE")]
+    /// Run the experiments with mechanisms missing from the base simulator, as in
+    /// `rotation=1,rolling_friction=0.5`.
+    #[arg(long, value_name = "NAME=AMPLITUDE,…", value_delimiter = ',')]
     extension: Vec<String>,
     #[command(flatten)]
     device: DeviceArguments,
@@ -167,6 +167,11 @@ fn text(document: &Document) -> String {
         "\n\n{} passed, {} known deviations, {} failed",
         document.passed, document.known_deviations, document.failed
     ));
+    if document.checks.iter().any(|check| check.measured.is_nan()) {
+        text.push_str(
+            "\nNaN: there was nothing to measure, as when grains roll away and leave no heap",
+        );
+    }
     let doses: Vec<(&Check, &Convergence)> = document
         .checks
         .iter()
@@ -356,6 +361,34 @@ mod tests {
         assert_eq!(cells("10.000").last().map(String::as_str), Some("-"));
         assert!(text.contains("dose_frictional_4mm: off by 0.8000 mg: the substep"), "{text}");
         assert!(serde_json::to_string(&document).unwrap().contains("\"verdict\":\"missed\""));
+    }
+
+    #[test]
+    fn what_could_not_be_measured_fails_and_is_explained() {
+        let measured = |measured| {
+            let check = Check {
+                name: "repose_funnel",
+                measured,
+                expected: 0.0,
+                tolerance: 0.3,
+                unit: "deg",
+                passed: false,
+                known_deviation: None,
+                source: "",
+                convergence: None,
+            };
+            text(&Document {
+                simulator: "pbd",
+                card: None,
+                extensions: Extensions::default(),
+                passed: 0,
+                known_deviations: 0,
+                failed: 1,
+                checks: vec![check],
+            })
+        };
+        assert!(measured(f64::NAN).ends_with("roll away and leave no heap"));
+        assert!(!measured(1.0).contains("NaN"));
     }
 
     #[test]

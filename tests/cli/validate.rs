@@ -5,10 +5,8 @@ use crate::harness::{document, expect_status, flip, stderr};
 #[test]
 fn validate_prints_what_it_measured_and_knows_its_checks_by_name() {
     let folder = tempfile::tempdir().unwrap();
-    let output = flip(
-        folder.path(),
-        &["validate", "--only", "free_fall", "--only", "incline_threshold", "--json"],
-    );
+    let both = "free_fall,incline_threshold";
+    let output = flip(folder.path(), &["validate", "--only", both, "--json"]);
     expect_status(&output, 0);
     let document = document(&output);
     let names: Vec<&str> = document["checks"]
@@ -54,7 +52,7 @@ fn what_a_card_cannot_compute_is_refused_by_name_and_without_a_card_it_says_so()
     if flip_cuda::find_all().is_err() {
         let said = ["device: no graphics card", "leaving this field out"];
         refused(&["validate", "--only", "rest_creep"], &said);
-        refused(&["validate", "--extension", "rotation=1"], &said);
+        refused(&["validate", "--extension", "rotation=1,rolling_friction=0.5"], &said);
         refused(&["observe", "shake_mass:pitch_deg=30,shake_mm=4"], &said);
     }
 }
