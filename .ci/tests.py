@@ -6,6 +6,7 @@ they leave of the processor goes to the suites that only compute, two at a time 
 The store's, the application's, the interfaces' and that of kills run on SQLite, and once more on a private PostgreSQL.
 Every suite's output is in target/test/SUITE.log.
 """
+import collections
 import concurrent.futures
 import json
 import os
@@ -54,7 +55,8 @@ def built():
             folder = pathlib.Path(message["manifest_path"]).parent
             # `--report-time` is unstable, and the slowest tests are worth it.
             threads = ["--test-threads", str(THREADS[name])] if name in THREADS else []
-            command = [message["executable"], "-Zunstable-options", "--report-time", *LONG, *threads]
+            # What a test prints is shown although it passes: it says why it was skipped.
+            command = [message["executable"], "-Zunstable-options", "--report-time", "--show-output", *LONG, *threads]
             yield (f"{name}_{kind}" if kind == "bin" else name), command, folder
             if name in DATABASE and kind != "bin":
                 left_out = [word for test in DATABASE[name] for word in ("--skip", test)]
@@ -127,8 +129,12 @@ def main():
     on_sqlite = sum(result[3] for name, result in results.items() if name in DATABASE)
     print(f"of the database: {on_sqlite} on SQLite, {on_postgres} on PostgreSQL")
     print(f"tests passed: {total} (Rust {total - page - others}, page {page}, others' clients {others})")
-    left_out = sum(int(n) for name in results for n in re.findall(r"; (\d+) ignored", (LOGS / f"{name}.log").read_text(errors="replace")))
+    logs = {name: (LOGS / f"{name}.log").read_text(errors="replace") for name in results}
+    left_out = sum(int(n) for text in logs.values() for n in re.findall(r"; (\d+) ignored", text))
     print(f"left to `make test-long`, because they take minutes: {left_out}")
+    for name, text in logs.items():
+        for reason, count in collections.Counter(re.findall(r"(?:^|\.\.\. )skipped: (.+)$", text, re.M)).items():
+            print(f"skipped in {name}, counted as passed: {count}: {reason}")
     if failed:
         sys.exit(f"failed: {', '.join(failed)}; see target/test/NAME.log")
 

@@ -18,7 +18,7 @@ use tempfile::TempDir;
 /// The address of this folder's database, whatever the other tests run on; `None`, and why, where
 /// there is no server.
 async fn address(folder: &Path) -> Option<String> {
-    let cluster = flip_testing::cluster().inspect_err(|why| println!("left out: {why}")).ok()?;
+    let cluster = flip_testing::cluster().inspect_err(|why| println!("skipped: {why}")).ok()?;
     Some(cluster.database_of(folder).await)
 }
 

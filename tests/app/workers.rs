@@ -13,7 +13,7 @@ use tempfile::TempDir;
 /// A database on a server, whatever the other tests run on, with an app that computes nothing
 /// itself, and a connection past it; `None`, and why, where there is no server.
 pub async fn served() -> Option<(TempDir, Storage, App, AnyPool)> {
-    let cluster = flip_testing::cluster().inspect_err(|why| println!("left out: {why}")).ok()?;
+    let cluster = flip_testing::cluster().inspect_err(|why| println!("skipped: {why}")).ok()?;
     let folder = tempfile::tempdir().unwrap();
     let url = cluster.database_of(folder.path()).await;
     let storage = Storage::on_server(&url, folder.path()).unwrap();

@@ -174,7 +174,7 @@ mod tests {
         let started = Cluster::start_encrypted(&ours.cert.pem(), &key);
         let (_cluster, port) = match started {
             Ok(started) => started,
-            Err(why) => return println!("left out: {why}"),
+            Err(why) => return println!("skipped: {why}"),
         };
         let folder = tempfile::tempdir().unwrap();
         let on = async |name: &str, certificate: &str| {

@@ -33,13 +33,13 @@ pub fn on_postgres() -> bool {
     }
 }
 
-/// Whether a test is left out, because only SQLite has what it tests.
+/// Whether a test is skipped, because only SQLite has what it tests.
 pub fn only_sqlite_has(what: &str) -> bool {
-    let left_out = on_postgres();
-    if left_out {
-        println!("left out on PostgreSQL: only SQLite has {what}");
+    let is_skipped = on_postgres();
+    if is_skipped {
+        println!("skipped: only SQLite has {what}");
     }
-    left_out
+    is_skipped
 }
 
 /// The address of a folder's database, if tests run on PostgreSQL: each folder has its own, which is

@@ -356,7 +356,7 @@ async fn a_full_disk_refuses_a_file_whole_and_a_start_only_where_no_other_start_
     let folder = tempfile::tempdir().unwrap();
     let mut disk = match Disk::mounted(folder.path()) {
         Ok(disk) => disk,
-        Err(why) => return println!("left out: a disk that can be full: {why}"),
+        Err(why) => return println!("skipped: a disk that can be full: {why}"),
     };
     let artifacts = |below: &str| {
         let at = folder.path().join(below);

@@ -9,7 +9,7 @@ use std::time::Duration;
 /// Two processes with a bench each, on one database and with one folder of files; `None`, and why,
 /// where there is no server.
 async fn two(folder: &std::path::Path) -> Option<(Store, Store)> {
-    let cluster = testing::cluster().inspect_err(|why| println!("left out: {why}")).ok()?;
+    let cluster = testing::cluster().inspect_err(|why| println!("skipped: {why}")).ok()?;
     let url = cluster.database_of(folder).await;
     let storage = Storage::on_server(&url, folder).unwrap();
     let first = Store::open(&storage).await.unwrap();

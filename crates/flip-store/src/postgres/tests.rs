@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 /// A cluster, whatever the other tests run on; `None`, and why, where there is none.
 fn cluster() -> Option<&'static testing::Cluster> {
-    testing::cluster().inspect_err(|why| println!("left out: {why}")).ok()
+    testing::cluster().inspect_err(|why| println!("skipped: {why}")).ok()
 }
 
 #[tokio::test]

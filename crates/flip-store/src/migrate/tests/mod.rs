@@ -15,7 +15,7 @@ use tempfile::TempDir;
 
 /// A cluster, whatever the other tests run on; `None`, and why, where there is none.
 fn cluster() -> Option<&'static Cluster> {
-    testing::cluster().inspect_err(|why| println!("left out: {why}")).ok()
+    testing::cluster().inspect_err(|why| println!("skipped: {why}")).ok()
 }
 
 /// Places for stores.
