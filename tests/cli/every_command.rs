@@ -140,6 +140,10 @@ fn bad_input_exits_2_and_names_the_field() {
             &["evaluate", "--extension", "rotation"],
             "extension: must be a name, an equals sign and a number",
         ),
+        // Of a list with commas each is read for itself.
+        (&["evaluate", "--extension", "rotation=1,rolling"], "got `rolling`"),
+        (&["heap", "--extension", "rotation=1,rolling"], "got `rolling`"),
+        (&["calibrate", "--powder", "salt", "--fix", "gravity_scale=1,cohesion"], "got `cohesion`"),
     ];
     for (arguments, named) in cases {
         let output = flip(folder.path(), arguments);
