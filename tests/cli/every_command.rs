@@ -88,7 +88,7 @@ fn a_fresh_data_folder_is_made_and_seeded_by_whatever_comes_first() {
 #[test]
 fn bad_input_exits_2_and_names_the_field() {
     let folder = tempfile::tempdir().unwrap();
-    let cases: [(&[&str], &str); 36] = [
+    let cases: [(&[&str], &str); 39] = [
         (&["heap", "--friction", "1.31"], "friction: must be a number from 0 to 1.3"),
         (&["heap", "--cohesion", "NaN"], "cohesion: must be a number from 0 to 1.2"),
         (&["heap", "--particle-diameter-mm", "-1"], "particle_diameter_mm"),
