@@ -14,7 +14,7 @@
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: forty minutes (ARGS='--episodes 40')
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped, the network is cut, the disk fills up and clocks are set: an hour or two (ARGS='10 2': 10 % of the faults, seed)
-# make gpu-report   a graphics card beside this machine's cores: simulated seconds per second, repeatability, doses, heaps, a million launches, updates of the learner, and a calibration, an evaluation, a training and the demonstration by the commands: a quarter of an hour; without a card it says so (ARGS=speed: that part alone)
+# make gpu-report   a graphics card beside this machine's cores: speed, repeatability, equivalence, heaps, a million launches, what binds, updates of the learner, laws of nature, doses, a training, new powders, the demonstration, the published experiment with both networks, the weighing gain: three quarters of an hour, stop it and call it again; without a card it says so (ARGS='speed heaps': parts of it; ARGS=--again; DATA=folder; PROGRAMS=folder of programs built elsewhere)
 # make published-experiment   four orders, five seeds, 4000 episodes each, in the simulator on a graphics card, and doses with all policies: a quarter of an hour, stop it and call it again (STUDY=feed-forward ARGS=seconds=600)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
@@ -29,7 +29,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
-.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres faketime bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults gpu-report published-experiment slim page-report pictures proto dist lint check tidy
+.PHONY: run test test-long laws setup need web docs docs-reference stale chromium postgres faketime bench bench-peers bench-learner calibration-report training-report discovery-report weighing-gain reliability bench-stop bench-workers bench-database cluster faults gpu-report published-experiment on-a-card slim page-report pictures proto dist lint check tidy
 
 ARGS ?=
 DOCS_SOURCES := $(shell find docs web/docs -name node_modules -prune -o -type f -print 2>/dev/null)
@@ -158,7 +158,7 @@ discovery-report: setup
 
 weighing-gain: setup
 	cargo build --release --locked --bin flip
-	FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo experiment weighing_gain
+	CUDA_DEVICE_MAX_CONNECTIONS=32 FLIP_BIN="$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip" cargo experiment weighing_gain
 
 reliability: setup postgres
 	FLIP_RELIABILITY=full cargo test --release --locked --test reliability -- --nocapture
@@ -193,21 +193,20 @@ faults: setup postgres faketime
 	cargo build --release --locked --bin flip --example cluster
 	$(FLIP_BUILT) cargo run --quiet --release --locked --example cluster -- faults $(ARGS)
 
-gpu-report: setup
-	cargo run --release --locked -p flip-cuda --example gpu_report -- $(ARGS)
-	[ -z "$(ARGS)" ] || exit 0
-	cargo run --release --locked -p flip-cuda --example learner_report
-	cargo build --release --locked
-	.ci/gpu_report.sh "$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release/flip"
+# PROGRAMS=folder: programs built elsewhere, for a machine that has a card and no Rust.
+PROGRAMS ?=
+RELEASE = $(or $(PROGRAMS),$${CARGO_TARGET_DIR:-$(CURDIR)/target}/release)
+gpu-report: $(if $(PROGRAMS),,on-a-card)
+	.ci/gpu_report.py "$(RELEASE)" $(ARGS)
 
 STUDY ?= published
-published-experiment: setup
-	cargo build --release --locked
-	data="$${DATA:-$(CURDIR)/target/published-experiment}"; mkdir -p "$$data"
-	calibrated() { [ -e "$$data/$$1.json" ] || { cargo run --quiet --release --locked -- calibrate --data-dir "$$data/flip" --method sequential --json "$${@:2}" > "$$data/new"; mv "$$data/new" "$$data/$$1.json"; }; }
-	for angle in 28 33 37; do calibrated "$$angle" --repose-deg "$$angle"; done
-	calibrated powders --powder all
-	CUDA_DEVICE_MAX_CONNECTIONS=32 cargo experiment published_experiment -- $(STUDY) "$$data/$(STUDY)" 5 4000 "$$data"/{28,33,37,powders}.json $(ARGS)
+published-experiment: $(if $(PROGRAMS),,on-a-card)
+	DATA="$${DATA:-$(CURDIR)/target/published-experiment}" .ci/published_experiment.sh "$(RELEASE)" $(STUDY) $(ARGS)
+
+on-a-card: setup
+	cargo build --release --locked --bin flip
+	cargo build --release --locked -p flip-cuda --example gpu_report --example learner_report
+	cargo build --release --locked -p flip-experiments --bin published_experiment --bin weighing_gain
 
 # What has training stays where it was.
 slim: setup

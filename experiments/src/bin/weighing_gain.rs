@@ -16,8 +16,9 @@
 //! The truth shares nothing with the catalogue except contacts that gain strength: how much in
 //! which time follows another formula ([`consolidation`]), and the powders on the bench are
 //! parameter sets seen in no training and no fit. The air's humidity is recorded and has no effect.
-//! Completed work is found again; the output depends on the code alone. With `DEVICE=cuda` calibrations,
-//! trainings and doses are computed on a graphics card, and the output is another one.
+//! Completed work is found again in the folder `DATA`; the output depends on the code alone. With
+//! `DEVICE=cuda` calibrations, trainings and doses are computed on a graphics card, and the output is
+//! another one.
 
 use anyhow::{Context, bail, ensure};
 use flip::app::{local_engine, report_html};
@@ -395,7 +396,8 @@ fn main() -> anyhow::Result<()> {
     };
     let card = local_engine(device)?;
     let name = if card.is_some() { "weighing-gain-cuda" } else { "weighing-gain" };
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target").join(name);
+    let target = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target");
+    let folder = std::env::var_os("DATA").map_or_else(|| target.join(name), PathBuf::from);
     std::fs::create_dir_all(&folder)?;
     let flip = Flip { program, folder: folder.clone(), data: "data", card, seed: 1 };
 
