@@ -4,6 +4,7 @@ use super::{GaussianProcess, GaussianProcessError, Hyperparameters, factorise};
 use crate::stats::minimise::{Evaluated, minimise};
 use crate::stats::summary;
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// Log-normal priors on the hyperparameters of standardised outputs (mean 0, SD 1): median and log
@@ -47,7 +48,7 @@ impl<const D: usize> GaussianProcess<D> {
     /// ```
     ///
     /// Deterministic: BFGS from the prior's median and from the median with lengthscales a third
-    /// and three times as long; the best end is kept.
+    /// and three times as long, side by side; the best end is kept.
     ///
     /// # Errors
     /// [`GaussianProcessError`]
@@ -79,7 +80,7 @@ impl<const D: usize> GaussianProcess<D> {
         let centre = summary::mean(outputs).unwrap_or(0.0);
         let spread = summary::sd(outputs).filter(|s| *s > 0.0).unwrap_or(1.0);
         let scaled: Vec<f64> = outputs.iter().map(|y| (y - centre) / spread).collect();
-        let ends = [1.0 / 3.0, 1.0, 3.0].map(|stretch| {
+        let ends = [1.0 / 3.0, 1.0, 3.0].into_par_iter().map(|stretch| {
             let start = prior
                 .entries::<D>()
                 .enumerate()
@@ -87,6 +88,7 @@ impl<const D: usize> GaussianProcess<D> {
             let start = DVector::from_iterator(D + 2, start.map(f64::ln));
             minimise(|theta| objective(inputs, &scaled, noise, theta, prior), start, 1.0, 60)
         });
+        let ends: Vec<(DVector<f64>, f64)> = ends.collect();
         let finite = ends.into_iter().filter(|end| end.1.is_finite());
         let best =
             finite.min_by(|a, b| a.1.total_cmp(&b.1)).ok_or(GaussianProcessError::Singular)?;
