@@ -54,7 +54,8 @@ def lines(command, folder, **environment):
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, text=True, env={**os.environ, **environment})
         yield from (line.rstrip("\n") for line in process.stdout)
         if process.wait() != 0:
-            raise RuntimeError(f"{' '.join(command)} ended with {process.returncode}: {folder}/said.txt")
+            last = (folder / "said.txt").read_text().splitlines()[-3:]
+            raise RuntimeError("\n".join([f"{' '.join(command)} ended with {process.returncode}; {folder}/said.txt ends with", *last]))
 
 
 def timed(name, arguments, folder, data):
@@ -247,11 +248,14 @@ given = arguments.parse_args()
 if unknown := set(given.parts) - set(PARTS):
     arguments.error(f"there is no part {', '.join(sorted(unknown))}: {', '.join(PARTS)}")
 FOLDER = given.programs.resolve()
+if missing := [name for name in PROGRAMS if not (FOLDER / name).exists()]:
+    arguments.error(f"{FOLDER} has no {', '.join(missing)}: `make on-a-card` builds them in target/release")
 DATA.mkdir(parents=True, exist_ok=True)
 # Finds no launch to make: it names the card and ends, or says why there is none.
-first = subprocess.run([release("examples/gpu_report"), "card"], capture_output=True, text=True).stdout.strip()
-if first.startswith("skipped") or not first:
-    sys.exit(print(first or "skipped: gpu_report found no card"))
+first = subprocess.run([release("examples/gpu_report"), "card"], stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
+if first.startswith("skipped"):
+    print(first)
+    sys.exit()
 KEY = Key(re.split("[,;]", first)[0])
 try:
     measured = [part(name, PARTS[name], given.again) for name in given.parts or PARTS]
