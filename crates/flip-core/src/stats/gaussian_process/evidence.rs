@@ -4,7 +4,6 @@ use super::{GaussianProcess, GaussianProcessError, Hyperparameters, factorise};
 use crate::stats::minimise::{Evaluated, minimise};
 use crate::stats::summary;
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// Log-normal priors on the hyperparameters of standardised outputs (mean 0, SD 1): median and log
@@ -48,7 +47,7 @@ impl<const D: usize> GaussianProcess<D> {
     /// ```
     ///
     /// Deterministic: BFGS from the prior's median and from the median with lengthscales a third
-    /// and three times as long, side by side; the best end is kept.
+    /// and three times as long; the best end is kept.
     ///
     /// # Errors
     /// [`GaussianProcessError`]
@@ -57,19 +56,35 @@ impl<const D: usize> GaussianProcess<D> {
         outputs: &[f64],
         prior: &Prior,
     ) -> Result<Self, GaussianProcessError> {
-        Self::fit_with_noise(inputs, outputs, &vec![1.0; inputs.len()], prior)
+        let noise = vec![1.0; inputs.len()];
+        let fit = Fit::new(inputs, outputs, &noise, prior)?;
+        fit.best(fit.starts().map(|start| fit.end(start)))
     }
+}
 
-    /// Like [`Self::fit`], but observation `i` has `noise[i]` times the noise variance, which is
-    /// known only up to one factor.
+/// A fit in steps, for a caller that computes the ends side by side.
+#[derive(Debug)]
+pub struct Fit<'a, const D: usize> {
+    inputs: &'a [[f64; D]],
+    outputs: &'a [f64],
+    noise: &'a [f64],
+    prior: &'a Prior,
+    centre: f64,
+    spread: f64,
+    scaled: Vec<f64>,
+}
+
+impl<'a, const D: usize> Fit<'a, D> {
+    /// Like [`GaussianProcess::fit`], but observation `i` has `noise[i]` times the noise variance,
+    /// which is known only up to one factor.
     ///
     /// # Errors
-    /// [`GaussianProcessError`]
-    pub fn fit_with_noise(
-        inputs: &[[f64; D]],
-        outputs: &[f64],
-        noise: &[f64],
-        prior: &Prior,
+    /// [`GaussianProcessError::Shape`] and [`GaussianProcessError::NotFinite`]
+    pub fn new(
+        inputs: &'a [[f64; D]],
+        outputs: &'a [f64],
+        noise: &'a [f64],
+        prior: &'a Prior,
     ) -> Result<Self, GaussianProcessError> {
         if inputs.is_empty() || inputs.len() != outputs.len() || inputs.len() != noise.len() {
             return Err(GaussianProcessError::Shape);
@@ -79,24 +94,44 @@ impl<const D: usize> GaussianProcess<D> {
         }
         let centre = summary::mean(outputs).unwrap_or(0.0);
         let spread = summary::sd(outputs).filter(|s| *s > 0.0).unwrap_or(1.0);
-        let scaled: Vec<f64> = outputs.iter().map(|y| (y - centre) / spread).collect();
-        let ends = [1.0 / 3.0, 1.0, 3.0].into_par_iter().map(|stretch| {
-            let start = prior
+        let scaled = outputs.iter().map(|y| (y - centre) / spread).collect();
+        Ok(Self { inputs, outputs, noise, prior, centre, spread, scaled })
+    }
+
+    /// Where the searches begin, as theta.
+    pub fn starts(&self) -> [DVector<f64>; 3] {
+        [1.0 / 3.0, 1.0, 3.0].map(|stretch| {
+            let start = self
+                .prior
                 .entries::<D>()
                 .enumerate()
                 .map(|(j, (median, _))| if j < D { median * stretch } else { median });
-            let start = DVector::from_iterator(D + 2, start.map(f64::ln));
-            minimise(|theta| objective(inputs, &scaled, noise, theta, prior), start, 1.0, 60)
-        });
-        let ends: Vec<(DVector<f64>, f64)> = ends.collect();
+            DVector::from_iterator(D + 2, start.map(f64::ln))
+        })
+    }
+
+    /// Where the search from this start ends, and the objective there.
+    pub fn end(&self, start: DVector<f64>) -> (DVector<f64>, f64) {
+        let value = |theta: &_| objective(self.inputs, &self.scaled, self.noise, theta, self.prior);
+        minimise(value, start, 1.0, 60)
+    }
+
+    /// The process with the best of these ends, the first of equals.
+    ///
+    /// # Errors
+    /// [`GaussianProcessError::Singular`]
+    pub fn best(
+        &self,
+        ends: impl IntoIterator<Item = (DVector<f64>, f64)>,
+    ) -> Result<GaussianProcess<D>, GaussianProcessError> {
         let finite = ends.into_iter().filter(|end| end.1.is_finite());
         let best =
             finite.min_by(|a, b| a.1.total_cmp(&b.1)).ok_or(GaussianProcessError::Singular)?;
         let mut h = from_theta::<D>(&best.0);
-        h.signal_sd *= spread;
-        h.noise_sd *= spread;
-        h.mean = centre;
-        Self::with_noise(inputs, outputs, noise, h)
+        h.signal_sd *= self.spread;
+        h.noise_sd *= self.spread;
+        h.mean = self.centre;
+        GaussianProcess::with_noise(self.inputs, self.outputs, self.noise, h)
     }
 }
 
