@@ -14,7 +14,7 @@
 # make cluster    PostgreSQL, two servers and two workers on this machine: the demonstration with a worker and a server killed in the middle, beside one process alone: forty minutes (ARGS='--episodes 40')
 # make bench-database   what one PostgreSQL carries: jobs, events and records of doses a second, and answers of three servers (ARGS="30 300 10000": seconds, requests a second, queued jobs)
 # make faults     mixed jobs while workers, servers and PostgreSQL are killed, restarted and stopped, the network is cut, the disk fills up and clocks are set: an hour or two (ARGS='10 2': 10 % of the faults, seed)
-# make gpu-report   a graphics card beside this machine's cores: speed, repeatability, equivalence, heaps, a million launches, what binds, updates of the learner, laws of nature, doses, a training, new powders, the demonstration, the published experiment with both networks, the weighing gain: three quarters of an hour, stop it and call it again; without a card it says so (ARGS='speed heaps': parts of it; ARGS=--again; DATA=folder; PROGRAMS=folder of programs built elsewhere)
+# make gpu-report   a graphics card beside this machine's cores: speed, repeatability, equivalence, heaps, a million launches, what binds, updates of the learner, laws of nature, doses, a training on both, an emulator, new powders, the demonstration, the published experiment with both networks, the weighing gain: three quarters of an hour and a training on the cores, stop it and call it again; without a card it says so (ARGS='speed heaps': parts of it; ARGS=--again; DATA=folder; PROGRAMS=folder of programs built elsewhere)
 # make published-experiment   four orders, five seeds, 4000 episodes each, in the simulator on a graphics card, and doses with all policies: a quarter of an hour, stop it and call it again (STUDY=feed-forward ARGS=seconds=600)
 # make slim       the program without training and libtorch, and the Python wheel: their sizes
 # make page-report   the page among 100 000 weighings and 10 000 jobs: times, bytes sent, long tasks (WEIGHINGS=100000 JOBS=10000 REPEATS=20)
@@ -206,7 +206,7 @@ published-experiment: $(if $(PROGRAMS),,on-a-card)
 on-a-card: setup
 	cargo build --release --locked --bin flip
 	cargo build --release --locked -p flip-cuda --example gpu_report --example learner_report
-	cargo build --release --locked -p flip-experiments --bin published_experiment --bin weighing_gain
+	cargo build --release --locked -p flip-experiments --bin emulator_rounds --bin published_experiment --bin weighing_gain
 
 # What has training stays where it was.
 slim: setup

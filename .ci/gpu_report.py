@@ -21,7 +21,7 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 DATA = pathlib.Path(os.environ.get("DATA") or ROOT / "target/gpu-report").resolve()
 CORES = len(os.sched_getaffinity(0))
-PROGRAMS = ["flip", "published_experiment", "weighing_gain", "examples/gpu_report", "examples/learner_report"]
+PROGRAMS = ["flip", "emulator_rounds", "published_experiment", "weighing_gain", "examples/gpu_report", "examples/learner_report"]
 # With fewer connections than trainings side by side, some wait for others' spoons.
 CONNECTIONS = {"CUDA_DEVICE_MAX_CONNECTIONS": "32"}
 DOSES = "evaluate --powders sand,salt,sugar --controllers paced,schedule --targets-mg 10,15 --repeats 20".split()
@@ -137,13 +137,21 @@ def doses(folder):
         yield from weighed(document)
 
 
-def training(folder):
-    data = fresh(folder)
-    line, document = timed("training", ["train", "--seed", 1, "--device", "cuda"], folder, data)
-    yield line
-    line, document = timed("240 doses beside its policy", [*DOSES, "--policy", document["policy"], "--device", "cuda"], folder, data)
-    yield line
-    yield from weighed(document)
+def training(name, *device):
+    def measure(folder):
+        data = fresh(folder)
+        line, document = timed(name, ["train", "--seed", 1, *device], folder, data)
+        yield line
+        beside = [*DOSES, "--policy", document["policy"], "--device", "cuda"]
+        line, document = timed("240 doses beside its policy", beside, folder, data)
+        yield line
+        yield from weighed(document)
+
+    return measure
+
+
+def emulator(folder):
+    yield from lines([release("emulator_rounds"), "240:240:1:4", 1, 300, "cuda"], folder)
 
 
 def powders(folder):
@@ -181,7 +189,9 @@ PARTS = {
     "updates": example("learner_report"),
     "laws": laws,
     "doses": doses,
-    "training": training,
+    "training": training("training, card", "--device", "cuda"),
+    "training-on-cores": training("training, cores"),
+    "emulator": emulator,
     "powders": powders,
     "demonstration": demonstration,
     "published": published("published"),

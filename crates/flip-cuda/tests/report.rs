@@ -25,7 +25,10 @@ impl Report {
         let report = Self { here: tempfile::tempdir().unwrap() };
         std::fs::create_dir(report.here.path().join("examples")).unwrap();
         let examples = ["examples/gpu_report", "examples/learner_report"];
-        for name in ["flip", "published_experiment", "weighing_gain"].iter().chain(&examples) {
+        for name in ["flip", "emulator_rounds", "published_experiment", "weighing_gain"]
+            .iter()
+            .chain(&examples)
+        {
             let path = report.here.path().join(name);
             std::fs::write(&path, PROGRAM).unwrap();
             std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
