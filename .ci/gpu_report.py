@@ -116,6 +116,8 @@ def limits(folder):
                             metrics, release("examples/gpu_report"), "quick"], folder))
         table = csv.DictReader(line for line in found if line.startswith('"'))
         counted = {row["Metric Name"]: float(row["Metric Value"].replace(",", "")) for row in table}
+        if missing := {*COUNTS.values(), WAVEFRONTS, CONFLICTS} - counted.keys():
+            raise RuntimeError("\n".join([f"ncu did not count {', '.join(sorted(missing))}; it says", *found[-3:]]))
         for what, metric in COUNTS.items():
             yield f"{name:32} {what:42} {counted[metric]:5.0f}"
         yield f"{name:32} {'of shared memory, bank conflicts':42} {100 * counted[CONFLICTS] / counted[WAVEFRONTS]:5.0f}"

@@ -278,7 +278,8 @@ impl Emulator {
     }
 }
 
-/// A fit with its searches side by side: where a card pours the heaps, the fit is half of the time.
+/// A fit with its searches side by side: where a card pours the heaps, one after another
+/// they were half of the time.
 fn fitted(
     inputs: &[[f64; DIRECTIONS]],
     outputs: &[f64],
